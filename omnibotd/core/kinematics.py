@@ -1,0 +1,29 @@
+"""Differential drive: between the robot's velocity and its two wheels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from omnibotd.core.geometry import Pose2D, Twist2D
+
+
+@dataclass(frozen=True, slots=True)
+class DifferentialDrive:
+    """Two driven wheels on one axle; lengths in metres."""
+
+    wheel_radius: float
+    wheel_separation: float
+
+    def wheel_speeds(self, twist: Twist2D) -> tuple[float, float]:
+        """Angular speeds (left, right) of the wheels, rad/s."""
+        turn = twist.wz * self.wheel_separation / 2.0
+        return (twist.vx - turn) / self.wheel_radius, (twist.vx + turn) / self.wheel_radius
+
+    def displacement(self, left: float, right: float) -> Pose2D:
+        """Motion of the base when its wheels have turned by `left` and `right` radians on one arc."""
+        arc = (left + right) / 2.0 * self.wheel_radius
+        yaw = (right - left) * self.wheel_radius / self.wheel_separation
+        # Chord of the arc: sin(yaw/2)/(yaw/2), which is 1 for a straight line.
+        chord = arc if abs(yaw) < 1e-9 else arc * math.sin(yaw / 2.0) / (yaw / 2.0)
+        return Pose2D(chord * math.cos(yaw / 2.0), chord * math.sin(yaw / 2.0), yaw)
