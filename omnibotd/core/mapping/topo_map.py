@@ -54,7 +54,7 @@ class TopoMap:
     codebook (U, F) float32, on a square torus of sqrt(U) x sqrt(U); `units` (N,) best matching unit of each node;
     `snapshots` (N, rings * sectors / 2) uint8, two 4-bit cells a byte; `poses` (N, 3) float32 map_from_base;
     `sessions` (N,) number of the teaching drive. `ceiling_height` is metres from camera to ceiling as measured while
-    teaching (NaN where unknown). `camera` names the calibration the map was taught with, to refuse another one's.
+    teaching (NaN where unknown). `recording` is the file it was taught from. `camera` names the calibration the map was taught with, to refuse another one's.
     """
 
     name: str
@@ -67,6 +67,7 @@ class TopoMap:
     ceiling_height: float = float("nan")
     camera: Mapping[str, float] = field(default_factory=dict)
     statistics: Mapping[str, float] = field(default_factory=dict)
+    recording: str = ""
     places: Mapping[str, Pose2D] = field(default_factory=dict)
     docks: Mapping[str, Dock] = field(default_factory=dict)
 
@@ -82,7 +83,9 @@ class TopoMap:
 
     def without_place(self, name: str) -> TopoMap:
         if name not in self.places:
-            raise MapError(f"no place {name!r} in map {self.name!r}; places: {', '.join(sorted(self.places)) or 'none'}")
+            raise MapError(
+                f"no place {name!r} in map {self.name!r}; places: {', '.join(sorted(self.places)) or 'none'}"
+            )
         return replace(self, places={key: pose for key, pose in self.places.items() if key != name})
 
     def with_dock(self, name: str, dock: Dock) -> TopoMap:

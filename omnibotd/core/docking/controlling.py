@@ -1,0 +1,117 @@
+"""One run at the dock from a known pose: smooth approach, trim at rest, confirmation by an independent fix."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum, auto
+
+from omnibotd.core.decision import Observation
+from omnibotd.core.docking.approach import Limits, SmoothApproach, Trim
+from omnibotd.core.docking.sightings import Sightings, agree, dock_from_odom
+from omnibotd.core.docking.states import Action, Event
+from omnibotd.core.geometry import STOP, Pose2D, Twist2D
+from omnibotd.core.percept import HomingEstimate, Verdict
+
+# The fix that confirms the end knows nothing of the way here: within this of it (m, rad).
+_CONFIRMATION, _CONFIRMATION_YAW = 0.03, math.radians(3.0)
+# Odometry alone is good for this long (s) of driving; standing, five rejected looks in a row take about as long.
+_BLIND_TIME = 1.5
+# A bumper held this long is no touch in passing (s).
+_BUMPED_TIME = 1.0
+# From 1 m at any heading a run takes about 20 s; three times that is stuck.
+_TIME = 60.0
+# Moves a trim may take (three are usual), and fixes that may fail to confirm the end.
+_MAX_ROUNDS, _MAX_DISAGREEMENTS = 25, 3
+
+
+class _Phase(Enum):
+    APPROACH = auto()
+    MEASURE = auto()
+    MOVE = auto()
+    CONFIRM = auto()
+
+
+class Controlling:
+    """Drives to the dock; `step` returns an Event when the run is over."""
+
+    def __init__(
+        self, limits: Limits, sightings: Sightings, dock_from_odom: Pose2D, observation: Observation
+    ) -> None:
+        self._limits = limits
+        self._sightings = sightings
+        self._dock_from_odom = dock_from_odom
+        self._approach = SmoothApproach(limits, dock_from_odom @ observation.odom_from_base)
+        self._trim = Trim(limits)
+        self._phase = _Phase.APPROACH
+        self._started = self._seen = observation.stamp
+        self._bumped: float | None = None
+        self._disagreements = 0
+
+    def step(self, observation: Observation, dt: float) -> Action | Event:
+        """`dt` is how long a command holds."""
+        over = self._over(observation)
+        if over is not None:
+            return over
+        if self._phase is _Phase.CONFIRM:
+            return self._confirm(observation)
+        estimate = self._track(observation)
+        pose = self._dock_from_odom @ observation.odom_from_base
+        if self._phase is _Phase.MEASURE:
+            return self._measured(observation, pose, estimate)
+        return self._action(pose, self._driven(pose, dt))
+
+    def _over(self, observation: Observation) -> Event | None:
+        now = observation.stamp
+        bumped = observation.bumper_left or observation.bumper_right
+        self._bumped = (self._bumped if self._bumped is not None else now) if bumped else None
+        held = self._bumped is not None and now - self._bumped > _BUMPED_TIME
+        if held or now - self._started > _TIME or self._trim.rounds > _MAX_ROUNDS:
+            # A base on its contact can be held short of the snapshot's pose by the dock itself.
+            return Event.CHARGING if observation.charging else Event.STUCK
+        # Lifted wheels make odometry meaningless.
+        return Event.DOUBTED if observation.wheel_drop or now - self._seen > _BLIND_TIME else None
+
+    def _track(self, observation: Observation) -> HomingEstimate | None:
+        """Takes the newest estimate; returns it only when it was made here at rest."""
+        fresh = self._sightings.take(observation)
+        if fresh is None or fresh.verdict is Verdict.REJECTED:
+            return None
+        self._seen = observation.stamp
+        self._dock_from_odom = dock_from_odom(fresh)
+        return fresh if self._sightings.at_rest(observation, fresh) else None
+
+    def _driven(self, pose: Pose2D, dt: float) -> Twist2D:
+        twist = self._approach.twist(pose) if self._phase is _Phase.APPROACH else self._trim.twist(pose, dt)
+        if twist is None:
+            self._phase = _Phase.MEASURE
+            return STOP
+        return twist
+
+    def _measured(self, observation: Observation, pose: Pose2D, estimate: HomingEstimate | None) -> Action:
+        if estimate is None:
+            return self._action(pose)
+        if self._limits.reached(pose):
+            self._phase, self._seen = _Phase.CONFIRM, observation.stamp
+            return Action(STOP, self._sightings.ask(None), math.hypot(pose.x, pose.y))
+        self._trim.plan(pose)
+        self._phase = _Phase.MOVE
+        return self._action(pose)
+
+    def _confirm(self, observation: Observation) -> Action | Event:
+        pose = self._dock_from_odom @ observation.odom_from_base
+        fix = self._sightings.take_at_rest(observation)
+        if fix is not None:
+            if fix.verdict is not Verdict.REJECTED and self._confirms(fix, pose):
+                return Event.CONFIRMED if observation.charging is None else Event.CONTACT_DUE
+            self._seen = observation.stamp
+            self._disagreements += 1
+            if self._disagreements >= _MAX_DISAGREEMENTS:
+                return Event.DOUBTED
+        return Action(STOP, self._sightings.ask(None), math.hypot(pose.x, pose.y))
+
+    @staticmethod
+    def _confirms(fix: HomingEstimate, pose: Pose2D) -> bool:
+        return agree(fix.dock_from_base, pose, _CONFIRMATION, _CONFIRMATION_YAW)
+
+    def _action(self, pose: Pose2D, twist: Twist2D = STOP) -> Action:
+        return Action(twist, self._sightings.ask(self._dock_from_odom), math.hypot(pose.x, pose.y))

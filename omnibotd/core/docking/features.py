@@ -1,0 +1,46 @@
+"""What is compared between two views of a ceiling: edges, blind to brightness, contrast and sign."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from omnibotd.core.vision.frame import FloatImage, Image
+
+# Side of the box over which edge strength is evened out; wider than a lamp, narrower than the view.
+_BOX = 31
+# Grey levels a pixel below which an edge drowns in sensor noise; keeps a flat ceiling near zero.
+_NOISE_FLOOR = 1.5
+# A person: darker than half the median, over 1.5 % of the view, and reaching in from its border.
+_OCCLUDER_GRID = 80
+_OCCLUDER_CELLS = 100
+
+
+def gradients(view: Image, blur: float) -> tuple[FloatImage, FloatImage]:
+    """Scharr derivatives along columns and rows, grey levels a pixel, after a Gaussian of `blur` pixels."""
+    smooth = cv2.GaussianBlur(view.astype(np.float32), (0, 0), blur)
+    dx = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 16.0)
+    dy = cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 16.0)
+    return np.asarray(dx, np.float32), np.asarray(dy, np.float32)
+
+
+def edge_strength(view: Image) -> FloatImage:
+    """Gradient magnitude over its local mean: about 1 on average on structure, 0 on a flat ceiling."""
+    magnitude = cv2.magnitude(*gradients(view, 1.0))
+    return np.asarray(magnitude / (cv2.blur(magnitude, (_BOX, _BOX)) + _NOISE_FLOOR), np.float32)
+
+
+def unoccluded(view: Image) -> Image | None:
+    """255 where no person leans into the view, 0 where one does; None when nobody is there."""
+    small = cv2.resize(view, (_OCCLUDER_GRID, _OCCLUDER_GRID), interpolation=cv2.INTER_AREA)
+    dark = (small < 0.5 * np.median(small)).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(dark)
+    x, y, w, h, area = stats.T
+    at_border = (x == 0) | (y == 0) | (x + w == _OCCLUDER_GRID) | (y + h == _OCCLUDER_GRID)
+    people = at_border & (area > _OCCLUDER_CELLS)
+    people[0] = False  # label 0 is everything that is not dark
+    if not people.any():
+        return None
+    hidden = cv2.dilate(np.where(people[labels], 255, 0).astype(np.uint8), np.ones((5, 5), np.uint8))
+    whole = cv2.resize(hidden, view.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(255 - whole, np.uint8)

@@ -1,0 +1,153 @@
+"""Links found while driving: each new node is compared with the old ones that odometry says are near (alias-safe).
+
+Comparing only near the predicted pose keeps look-alikes elsewhere out of the map; relaxing every few metres keeps the
+prediction near. For the training process only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnibotd.core.mapping.relaxation import Differences, Floats, joined, relax_headings, relax_positions
+from omnibotd.core.vision.descriptor import Harmonics, correlate
+
+# A node this much farther along the path counts as another visit; anything nearer shares its odometry error.
+REVISIT = 1.0
+# Half the side of the square searched round the predicted pose: drift since the last relaxation, and then some.
+_GATE = 0.6
+_HEADING_GATE = 0.35
+# Of the nodes inside the gate the most similar by spectrum are correlated; the others are farther off than these.
+_COMPARED = 40
+# Correlation from which two views count as the same place seen again (8 cm apart: about 0.8), and how many are kept.
+_SAME_PLACE, _KEPT, _WITHIN = 0.6, 4, 0.15
+# Turns against these earlier nodes are measured too: the camera is a better gyroscope than the wheels.
+_COMPASS_LAGS = np.array([1, 2, 3, 5, 8])
+_COMPASS_RANGE, _COMPASS_SCORE = 0.4, 0.65
+# Standard deviations grow as the correlation falls from 1, because the distance between two views does: of a turn (rad;
+# translation leans on it), and of a revisit (m an axis, its true offset being unknown).
+_TURN_SIGMA, _TURN_SIGMA_LOSS, _PLACE_SIGMA, _PLACE_SIGMA_LOSS = 0.006, 0.06, 0.02, 0.4
+# Nodes between relaxations: some five metres of driving.
+_BATCH = 60
+
+
+@dataclass
+class Links:
+    """Visual measurements so far: node pairs, turn of `later` minus that of `earlier`, score; `place` marks revisits."""
+
+    earlier: list[int] = field(default_factory=list)
+    later: list[int] = field(default_factory=list)
+    turn: list[float] = field(default_factory=list)
+    score: list[float] = field(default_factory=list)
+    place: list[bool] = field(default_factory=list)
+
+    def add(self, later: int, earlier: NDArray[np.intp], turn: Floats, score: Floats, place: bool) -> None:
+        self.later += [later] * len(earlier)
+        self.earlier += [int(node) for node in earlier]
+        self.turn += [float(value) for value in turn]
+        self.score += [float(value) for value in score]
+        self.place += [place] * len(earlier)
+
+    def turns(self) -> Differences:
+        first, second = np.array(self.earlier, np.intp), np.array(self.later, np.intp)
+        sigma = _TURN_SIGMA + _TURN_SIGMA_LOSS * (1.0 - np.array(self.score))
+        return Differences(first, second, np.array(self.turn), sigma)
+
+    def revisits(self) -> Differences:
+        place = np.array(self.place, bool)
+        first, second = np.array(self.earlier, np.intp)[place], np.array(self.later, np.intp)[place]
+        sigma = _PLACE_SIGMA + _PLACE_SIGMA_LOSS * (1.0 - np.array(self.score)[place])
+        return Differences(first, second, np.zeros((len(first), 2)), sigma)
+
+
+class PathLinker:
+    """Places the nodes of one teaching drive, in order, and links them to earlier ones.
+
+    `steps` (N, 3) are odometry poses of each node in the one before (row 0 unused).
+    """
+
+    def __init__(self, steps: Floats, views: Harmonics, spectra: NDArray[np.float32]) -> None:
+        self._steps, self._views, self._spectra = steps, views, spectra
+        self.travelled = np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))
+        self.poses = np.zeros((len(steps), 3))
+        self.links = Links()
+
+    def run(self, progress: Callable[[float], None]) -> None:
+        """Place and link every node, relaxing as it goes and thoroughly at the end."""
+        nodes = len(self._steps)
+        for node in range(1, nodes):
+            self._place(node)
+            self._measure_turns(node)
+            self._revisit(node)
+            if node % _BATCH == 0:
+                self.relax(node + 1, rounds=2)
+                progress(node / nodes)
+        self.relax(nodes, rounds=6)
+
+    def relax(self, nodes: int, rounds: int) -> None:
+        """Headings, then positions, of the first `nodes` nodes from odometry and all links so far."""
+        steps = self._steps[:nodes]
+        turns = joined([_odometry_turns(steps), self.links.turns()])
+        headings = relax_headings(turns, self.poses[:nodes, 2], rounds)
+        offsets = joined([odometry_offsets(steps, headings), self.links.revisits()])
+        self.poses[:nodes, :2] = relax_positions(offsets, nodes, nodes - 1, rounds)
+        self.poses[:nodes, 2] = headings
+
+    def _place(self, node: int) -> None:
+        """Predict from the node before, by odometry."""
+        x, y, yaw = self.poses[node - 1]
+        dx, dy, turn = self._steps[node]
+        c, s = np.cos(yaw), np.sin(yaw)
+        self.poses[node] = x + c * dx - s * dy, y + s * dx + c * dy, yaw + turn
+
+    def _measure_turns(self, node: int) -> None:
+        earlier = node - _COMPASS_LAGS[node >= _COMPASS_LAGS]
+        near = earlier[self.travelled[node] - self.travelled[earlier] < _COMPASS_RANGE]
+        turn, score = correlate(self._views[node], self._views[near])
+        good = score > _COMPASS_SCORE
+        self.links.add(node, near[good], turn[good], score[good], place=False)
+
+    def _revisit(self, node: int) -> None:
+        old = int(np.searchsorted(self.travelled[:node], self.travelled[node] - REVISIT))
+        near = np.flatnonzero((np.abs(self.poses[:old, :2] - self.poses[node, :2]) < _GATE).all(1))
+        if len(near) > _COMPARED:
+            unlike = ((self._spectra[near] - self._spectra[node]) ** 2).sum(1)
+            near = near[np.argpartition(unlike, _COMPARED)[:_COMPARED]]
+        if not len(near):
+            return
+        turn, score = correlate(self._views[node], self._views[near])
+        off = turn - (self.poses[node, 2] - self.poses[near, 2])
+        good = (np.abs(np.arctan2(np.sin(off), np.cos(off))) < _HEADING_GATE) & (score > _SAME_PLACE)
+        near, turn, score = near[good], turn[good], score[good]
+        if not len(near):
+            return
+        best = np.argsort(-score)[:_KEPT]
+        best = best[score[best] > score[best[0]] - _WITHIN]
+        self.links.add(node, near[best], turn[best], score[best], place=True)
+        self._correct(node, int(near[best[0]]), float(turn[best[0]]))
+
+    def _correct(self, node: int, seen_again: int, turn: float) -> None:
+        """Half-way to the revisited node at once: keeps the prediction sharp until the next relaxation."""
+        excess = turn + self.poses[seen_again, 2] - self.poses[node, 2]
+        self.poses[node, 2] += 0.5 * np.arctan2(np.sin(excess), np.cos(excess))
+        self.poses[node, :2] += 0.5 * (self.poses[seen_again, :2] - self.poses[node, :2])
+
+
+def _odometry_turns(steps: Floats) -> Differences:
+    """Wheels: 0.6 degrees of jitter, 2 % of the turn, and 1.7 degrees a metre of path."""
+    length = np.hypot(steps[1:, 0], steps[1:, 1])
+    sigma = 0.01 + 0.02 * np.abs(steps[1:, 2]) + 0.03 * length
+    node = np.arange(1, len(steps))
+    return Differences(node - 1, node, steps[1:, 2], sigma)
+
+
+def odometry_offsets(steps: Floats, headings: Floats) -> Differences:
+    """Steps turned into map axes; 5 mm and 5 % of the distance."""
+    c, s = np.cos(headings[:-1]), np.sin(headings[:-1])
+    dx, dy = steps[1:, 0], steps[1:, 1]
+    offset = np.stack([c * dx - s * dy, s * dx + c * dy], 1)
+    node = np.arange(1, len(steps))
+    return Differences(node - 1, node, offset, 0.005 + 0.05 * np.hypot(dx, dy))

@@ -1,0 +1,98 @@
+"""Where the robot may be: a handful of poses carried along by odometry and weighed by what the camera sees."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnibotd.core.geometry import Pose2D
+
+Floats = NDArray[np.float64]
+
+# More than a periodic ceiling has tiles worth telling apart in a room; the least likely are dropped.
+_MOST = 30
+# A candidate speaks for a hypothesis within this distance and turn; two closer than half of it are one.
+_NEAR, _NEAR_TURN = 0.4, 0.35
+# Correlation difference that makes a pose e times less likely in one independent frame.
+_TEMPERATURE = 0.05
+# What a hypothesis nobody speaks for, and one frame, may lose at most: one bad frame shall not decide.
+_UNSUPPORTED, _WORST = 0.25, 4.0
+# Prior of having been carried to any new candidate, against having driven here.
+_KIDNAPPED = -4.0
+
+
+class Hypotheses:
+    """poses (H, 3), log weights (H,) normalised, and standard deviations (H,) in metres; sorted, likeliest first."""
+
+    def __init__(self) -> None:
+        self.poses: Floats = np.zeros((0, 3))
+        self.log_weights: Floats = np.zeros(0)
+        self.sigmas: Floats = np.zeros(0)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def move(self, step: Pose2D) -> None:
+        """Carry all along: `step` is the pose of the base in the one before, by odometry."""
+        c, s = np.cos(self.poses[:, 2]), np.sin(self.poses[:, 2])
+        self.poses[:, 0] += c * step.x - s * step.y
+        self.poses[:, 1] += s * step.x + c * step.y
+        self.poses[:, 2] = _wrapped(self.poses[:, 2] + step.yaw)
+        # 5 % of the way, and the arc that 5 % of the turn makes at the odometry's lever of 10 cm.
+        self.sigmas = np.hypot(self.sigmas, 0.05 * np.hypot(step.x, step.y) + 0.005 * abs(step.yaw))
+
+    def supported(self, poses: Floats, scores: Floats) -> Floats:
+        """(H,) best score of the candidates (C, 3), (C,) near each hypothesis; -1 where there is none."""
+        return np.where(self._near(poses), scores, -1.0).max(1, initial=-1.0)
+
+    def weigh(self, poses: Floats, scores: Floats, evidence: float) -> None:
+        """Reweigh by candidates; `evidence` in (0, 1] says how independent this frame is of the last one."""
+        if not len(self):
+            return
+        top = scores.max(initial=-1.0)
+        support = np.maximum(self.supported(poses, scores), top - _UNSUPPORTED)
+        self.log_weights += evidence * np.maximum((support - top) / _TEMPERATURE, -_WORST)
+        self._tidy()
+
+    def propose(self, poses: Floats, scores: Floats) -> None:
+        """Add candidates (C, 3) that no hypothesis stands near, best first."""
+        prior = _KIDNAPPED if len(self) else 0.0
+        top = float(scores.max(initial=-1.0))
+        for pose, score in zip(poses, scores, strict=True):
+            if not self._near(pose[None]).any():
+                self.poses = np.vstack([self.poses, pose])
+                self.log_weights = np.append(self.log_weights, prior + (score - top) / _TEMPERATURE)
+                self.sigmas = np.append(self.sigmas, 0.1)
+        self._tidy()
+
+    def place(self, index: int, pose: Pose2D, sigma: float) -> None:
+        """Put one hypothesis where a measurement that took it as its prior says."""
+        self.poses[index] = pose.x, pose.y, _wrapped(np.asarray(pose.yaw))
+        self.sigmas[index] = sigma
+
+    def share(self) -> float:
+        """Posterior weight of the likeliest pose."""
+        return float(np.exp(self.log_weights[0])) if len(self) else 0.0
+
+    def _near(self, poses: Floats) -> NDArray[np.bool_]:
+        difference = self.poses[:, None] - poses[None]
+        near = np.hypot(difference[..., 0], difference[..., 1]) < _NEAR
+        return np.asarray(near & (np.abs(_wrapped(difference[..., 2])) < _NEAR_TURN))
+
+    def _tidy(self) -> None:
+        """Sort, merge the ones that have run together, forget the hopeless, normalise."""
+        order = np.argsort(-self.log_weights, kind="stable")[:_MOST]
+        self.poses, self.log_weights, self.sigmas = self.poses[order], self.log_weights[order], self.sigmas[order]
+        difference = self.poses[:, None] - self.poses[None]
+        same = (np.hypot(difference[..., 0], difference[..., 1]) < _NEAR / 2) & (
+            np.abs(_wrapped(difference[..., 2])) < _NEAR_TURN / 2
+        )
+        duplicate = np.tril(same, -1).any(1)
+        keep = ~duplicate & (self.log_weights > self.log_weights.max(initial=-np.inf) - 12.0)
+        weights = np.exp(self.log_weights - self.log_weights.max(initial=-np.inf))
+        self.poses, self.sigmas, weights = self.poses[keep], self.sigmas[keep], weights[keep]
+        self.log_weights = np.log(weights / weights.sum())
+
+
+def _wrapped(angle: Floats) -> Floats:
+    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))

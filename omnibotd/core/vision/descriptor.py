@@ -1,0 +1,85 @@
+"""Describing and comparing views: a rotation-invariant spectrum to look up, circular correlation to verify and to find the heading."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnibotd.core.vision.camera_model import CameraModel
+from omnibotd.core.vision.frame import Frame
+from omnibotd.core.vision.view import RINGS, SECTORS, View, Viewer
+
+BINS = 12  # harmonics kept a ring; beyond them a view 10 cm away has lost its phase anyway
+FEATURES = RINGS * BINS
+
+Floats = NDArray[np.float32]
+Harmonics = NDArray[np.complex64]
+
+# Outer rings cover more sky: weight about their area, but never let the rim rule alone.
+RING_WEIGHTS = np.sqrt(np.linspace(0.5, 1.5, RINGS)).astype(np.float32)[:, None]
+_ORDERS = np.arange(SECTORS // 2 + 1)
+# Each harmonic of a real signal stands for two, but for the constant one and the highest.
+_MULTIPLICITY = np.where((_ORDERS == 0) | (_ORDERS == SECTORS // 2), 1.0, 2.0).astype(np.float32)
+
+
+class Descriptor:
+    """From frames of one camera to views (16, 64) and spectra (192,)."""
+
+    def __init__(self, camera: CameraModel) -> None:
+        self._viewer = Viewer(camera)
+
+    def view(self, frame: Frame) -> View:
+        """(RINGS, SECTORS) float32, zero mean, unit variance; sector k looks at bearing k * 2 pi / SECTORS, CCW."""
+        return self._viewer.normalised(self._viewer.texture(frame))
+
+    def view_and_contrast(self, frame: Frame) -> tuple[View, float]:
+        """The view, and the spread of the relative gradient before it was normalised."""
+        texture = self._viewer.texture(frame)
+        return self._viewer.normalised(texture), self._viewer.contrast(texture)
+
+    @staticmethod
+    def spectrum(view: View) -> Floats:
+        """(..., FEATURES) amplitudes of the first harmonics of every ring of (..., RINGS, SECTORS): blind to rotation."""
+        amplitude = np.abs(np.fft.rfft(view, axis=-1)[..., :BINS]) / math.sqrt(SECTORS)
+        amplitude[..., 0] /= math.sqrt(2.0)
+        weighted = amplitude * RING_WEIGHTS
+        return np.asarray(weighted.reshape(*view.shape[:-2], FEATURES), np.float32)
+
+
+def harmonics(views: View) -> Harmonics:
+    """Ring-weighted, zero-mean, unit-norm views (..., RINGS, SECTORS) as (..., RINGS, SECTORS/2+1): ready to correlate."""
+    weighted = views * RING_WEIGHTS
+    weighted = weighted - weighted.mean((-1, -2), keepdims=True)
+    spectra = np.fft.rfft(weighted, axis=-1).astype(np.complex64)
+    power = ((spectra.real**2 + spectra.imag**2) @ _MULTIPLICITY).sum(-1)
+    return np.asarray(spectra / np.maximum(np.sqrt(power), 1e-9)[..., None, None], np.complex64)
+
+
+def correlate(query: Harmonics, stored: Harmonics) -> tuple[Floats, Floats]:
+    """Compare one view (RINGS, K) with M others (M, RINGS, K): turn (M,) rad and normalised correlation (M,).
+
+    `turn` is the heading of the query minus that of the stored view, at the correlation's peak (parabola through three).
+    """
+    curve = np.fft.irfft(np.einsum("mrk,rk->mk", stored, query.conj()), n=SECTORS, axis=-1) * SECTORS
+    rows = np.arange(len(curve))
+    peak = curve.argmax(-1)
+    centre, before, after = curve[rows, peak], curve[rows, peak - 1], curve[rows, (peak + 1) % SECTORS]
+    shift = 0.5 * (before - after) / (before - 2.0 * centre + after - 1e-12)
+    turn = (peak + shift) * (2.0 * math.pi / SECTORS)
+    wrapped = np.where(turn > math.pi, turn - 2.0 * math.pi, turn)
+    return wrapped.astype(np.float32), (centre - 0.25 * (before - after) * shift).astype(np.float32)
+
+
+def turned(views: View, yaw: NDArray[np.floating]) -> View:
+    """Views (..., RINGS, SECTORS) as seen in axes turned by -yaw (...): from base axes to map axes for yaw = map heading."""
+    phase = np.exp(-1j * _ORDERS * np.asarray(yaw)[..., None])[..., None, :]
+    return np.asarray(np.fft.irfft(np.fft.rfft(views, axis=-1) * phase, n=SECTORS, axis=-1), np.float32)
+
+
+def turn_derivative(views: View) -> View:
+    """How views (..., RINGS, SECTORS) change per radian when the heading they are turned by grows."""
+    return np.asarray(
+        np.fft.irfft(np.fft.rfft(views, axis=-1) * (-1j * _ORDERS), n=SECTORS, axis=-1), np.float32
+    )

@@ -1,0 +1,161 @@
+"""Frames in, estimates out: one frame at a time, on a worker thread, over an immutable snapshot of the map."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from typing import Any
+
+from omnibotd.config import Config
+from omnibotd.control import ControlLoop
+from omnibotd.core.decision import HomingRequest
+from omnibotd.core.docking.registration import DockRegistration
+from omnibotd.core.errors import CoreError
+from omnibotd.core.geometry import Pose2D
+from omnibotd.core.mapping.topo_map import TopoMap
+from omnibotd.core.navigation.localization import Localizer
+from omnibotd.core.percept import HomingEstimate
+from omnibotd.core.vision import image_circle
+from omnibotd.core.vision.camera_model import CameraModel
+from omnibotd.core.vision.frame import Frame
+from omnibotd.io.camera import Camera, load_calibration
+
+log = logging.getLogger(__name__)
+
+BUSY_PERIOD = 0.1  # s between frames looked at while something moves: the control tick's own
+IDLE_PERIOD = 0.5  # s at rest; an idle robot should leave the processor alone
+CIRCLE_FRAMES = 5  # frames in which the image circle is looked for; noise differs, the circle does not
+DEFAULT_CEILING = 2.2  # m from camera to ceiling where neither the map nor the configuration knows better
+
+OffLoop = Callable[..., Awaitable[Any]]
+
+
+class Perception:
+    """Looks at frames for the control loop: place in the map, homing to a dock, and frames for the recording."""
+
+    def __init__(self, config: Config, control: ControlLoop, camera: Camera, off_loop: OffLoop) -> None:
+        self._config, self._control, self._camera, self._off_loop = config, control, camera, off_loop
+        self.model: CameraModel | None = None
+        self.topo_map: TopoMap | None = None
+        self._localizer: Localizer | None = None
+        self._registration: tuple[str, DockRegistration] | None = None
+        self._recorded_at = -math.inf
+        self._first_frames: list[Frame] = []
+        self.failures = 0
+        self.reason = ""
+
+    async def use(self, topo_map: TopoMap | None) -> None:
+        """Work with this map from the next frame on. Raises CoreError where it does not fit the camera."""
+        localizer = None
+        if topo_map is not None and self.model is not None:
+            localizer = await self._off_loop(Localizer, topo_map, self.model)
+        self.topo_map, self._localizer, self._registration = topo_map, localizer, None
+        self._control.forget_pose()
+
+    def edited(self, topo_map: TopoMap) -> None:
+        """The same nodes with other places or docks: the pose stays."""
+        self.topo_map, self._registration = topo_map, None
+
+    async def run(self) -> None:
+        """Look at the newest frame, then rest until the next is due; never more than one frame in flight."""
+        stamp = -math.inf
+        while True:
+            frame = await self._camera.wait_newer(stamp)
+            stamp = frame.stamp
+            began = asyncio.get_running_loop().time()
+            await self._look(frame)
+            period = BUSY_PERIOD if self._control.moving or self._control.recorder else IDLE_PERIOD
+            # A little less than the period, or a camera of the same rate would lose every other frame to jitter.
+            await asyncio.sleep(max(0.0, began + 0.8 * period - asyncio.get_running_loop().time()))
+
+    async def _look(self, frame: Frame) -> None:
+        try:
+            self._control.absorb()
+            odom_from_base = self._control.odometry.at(frame.stamp)
+            if self.model is None:
+                await self._learn_camera(frame)
+            if self._control.recorder is not None:
+                await self._record(frame, odom_from_base)
+            await self._estimate(frame, odom_from_base)
+        except CoreError as error:
+            self.failures, self.reason = self.failures + 1, str(error)
+            log.warning("frame not used: %s", error)
+
+    async def _learn_camera(self, frame: Frame) -> None:
+        """The lens from the calibration file, else from the image circle found in the first frames."""
+        self._first_frames.append(frame)
+        settings = self._config.camera
+        if settings.calibration is not None:
+            model = load_calibration(settings.calibration, math.radians(settings.fov_deg))
+        elif settings.radius is not None and settings.centre is not None:
+            height, width = frame.grey().shape
+            fov = math.radians(settings.fov_deg)
+            model = CameraModel.equidistant(width, height, fov, settings.radius, settings.centre)
+        elif len(self._first_frames) < CIRCLE_FRAMES:
+            return
+        else:
+            model = await self._off_loop(find_lens, self._first_frames, math.radians(settings.fov_deg))
+        self.model = replace(model, mount_yaw=settings.mount_yaw, tilt=settings.tilt)
+        self._first_frames = []
+        log.info(
+            "camera %dx%d, f %.1f px, centre (%.1f, %.1f)",
+            model.width,
+            model.height,
+            model.fx,
+            model.cx,
+            model.cy,
+        )
+        await self.use(self.topo_map)
+
+    async def _record(self, frame: Frame, odom_from_base: Pose2D) -> None:
+        if frame.stamp - self._recorded_at < 0.9 / self._config.recording.frame_rate:
+            return
+        self._recorded_at = frame.stamp
+        jpeg = await self._off_loop(frame.jpeg)
+        if self._control.recorder is not None:  # it may have been closed meanwhile
+            self._control.recorder.frame(frame.stamp, odom_from_base, jpeg)
+
+    async def _estimate(self, frame: Frame, odom_from_base: Pose2D) -> None:
+        localizer, request = self._localizer, self._control.homing_request
+        if localizer is not None and request is None:
+            place = await self._off_loop(localizer.update, frame, odom_from_base)
+            if localizer is self._localizer:
+                self._control.note_place(place)
+        if request is not None:
+            homing = await self._off_loop(self._home, request, frame, odom_from_base)
+            if homing is not None:
+                self._control.note_homing(homing)
+
+    def _home(self, request: HomingRequest, frame: Frame, odom_from_base: Pose2D) -> HomingEstimate | None:
+        """Runs on the worker: register the frame with the dock's snapshot (prepared once a dock)."""
+        topo_map, model = self.topo_map, self.model
+        if topo_map is None or model is None or request.dock not in topo_map.docks:
+            return None
+        if self._registration is None or self._registration[0] != request.dock:
+            snapshot = Frame(0.0, topo_map.docks[request.dock].snapshot)
+            self._registration = (request.dock, DockRegistration(model, snapshot, self._ceiling(topo_map)))
+        registration = self._registration[1]
+        if request.dock_from_odom is None:
+            return registration.fix(frame, odom_from_base)
+        return registration.track(frame, odom_from_base, request.dock_from_odom @ odom_from_base)
+
+    def _ceiling(self, topo_map: TopoMap) -> float:
+        if self._config.docking.ceiling_height is not None:
+            return self._config.docking.ceiling_height
+        return topo_map.ceiling_height if math.isfinite(topo_map.ceiling_height) else DEFAULT_CEILING
+
+
+def find_lens(frames: list[Frame], fov: float) -> CameraModel:
+    """An equidistant lens that fills the image circle seen in the frames, or the smaller side where none is seen."""
+    height, width = frames[0].grey().shape
+    circle = image_circle.find([frame.grey() for frame in frames])
+    if circle is None:
+        log.warning(
+            "no image circle found: taking the lens to fill the %d px of the smaller side", min(width, height)
+        )
+        return CameraModel.equidistant(width, height, fov)
+    cx, cy, radius = circle
+    return CameraModel.equidistant(width, height, fov, radius, (cx, cy))

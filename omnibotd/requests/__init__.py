@@ -1,0 +1,63 @@
+"""What a client may ask: the methods of the control socket."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+from omnibotd.control import Feedback
+from omnibotd.control_protocol import METHOD_NOT_FOUND, RpcError
+from omnibotd.core.decision import ErrorName
+from omnibotd.core.errors import CoreError
+from omnibotd.io.control_server import Session
+from omnibotd.io.map_store import MapStoreError
+from omnibotd.io.recorder import Recorder
+from omnibotd.io.recording import RecordingError
+from omnibotd.requests.jobs import Jobs
+from omnibotd.requests.maps import Maps
+from omnibotd.requests.params import Params
+from omnibotd.requests.robot import Robot
+from omnibotd.requests.status import Status
+from omnibotd.requests.teaching import Teaching, Trainer
+
+
+class Requests:
+    """Answers requests; long ones when their job has ended."""
+
+    def __init__(self, robot: Robot, trainer: Trainer, open_recorder: Callable[[Path], Recorder]) -> None:
+        self.teaching = Teaching(robot, trainer, open_recorder)
+        groups = (Status(robot, self.teaching), self.teaching, Maps(robot), Jobs(robot))
+        self._tasks: set[asyncio.Task[dict[str, Any]]] = set()
+        self._methods = {name: method for group in groups for name, method in group.methods().items()}
+
+    async def dispatch(
+        self, session: Session | None, method: str, params: dict[str, Any], feedback: Feedback
+    ) -> dict[str, Any]:
+        """Answer one request. Raises RpcError, whose code is the client's exit code."""
+        answer = self._methods.get(method)
+        if answer is None:
+            known = ", ".join(self._methods)
+            raise RpcError(METHOD_NOT_FOUND, ErrorName.INVALID, f"no method {method!r}; there are {known}")
+        try:
+            return await self._whole(answer(Params(params), session, feedback))
+        except (MapStoreError, RecordingError) as error:
+            raise RpcError.named(ErrorName.STORAGE, str(error)) from error
+        except CoreError as error:
+            raise RpcError.named(ErrorName.NO_MAP, str(error)) from error
+
+    async def _whole(self, work: Coroutine[Any, Any, dict[str, Any]]) -> dict[str, Any]:
+        """A client that goes away leaves its request running: a map half edited or a file half closed helps nobody.
+
+        What must not outlive its client (driving by hand) hears of its end through the session.
+        """
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+        return await asyncio.shield(task)
+
+    def _done(self, task: asyncio.Task[dict[str, Any]]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled():
+            task.exception()  # seen: whoever still waits gets it, and nobody else is owed it

@@ -1,0 +1,189 @@
+"""Teaching drives and training: `record` and `train`."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omnibotd.control import Feedback
+from omnibotd.control_protocol import RpcError
+from omnibotd.core.decision import ErrorName
+from omnibotd.core.errors import CoreError
+from omnibotd.core.mapping.topo_map import TopoMap
+from omnibotd.core.vision.camera_model import CameraModel
+from omnibotd.io.control_server import Session
+from omnibotd.io.map_store import MapStore
+from omnibotd.io.recorder import Recorder
+from omnibotd.io.recording import RecordingError
+from omnibotd.requests.maps import summary
+from omnibotd.requests.params import Params
+from omnibotd.requests.robot import Method, Robot
+
+Trainer = Callable[[Path, str, MapStore, CameraModel, Callable[[str, float], None]], Awaitable[TopoMap]]
+COVERAGE_CELL = 0.25  # m; a place seen once per such square is a place the map knows
+SHORT_DRIVE = 5.0  # m; a shorter teaching drive rarely closes a loop
+
+
+@dataclass
+class Recording:
+    """A teaching drive in progress."""
+
+    name: str
+    recorder: Recorder
+    started: float
+    distance: float
+    cells: set[tuple[int, int]]
+
+
+class Teaching:
+    """One recording and one training at a time."""
+
+    def __init__(self, robot: Robot, trainer: Trainer, open_recorder: Callable[[Path], Recorder]) -> None:
+        self._robot, self._trainer, self._open_recorder = robot, trainer, open_recorder
+        self._recording: Recording | None = None
+        self.training: str | None = None
+
+    def methods(self) -> dict[str, Method]:
+        return {
+            "record.start": self._record_start,
+            "record.stop": self._record_stop,
+            "train": self._train,
+        }
+
+    async def _record_start(
+        self, params: Params, session: Session | None, feedback: Feedback
+    ) -> dict[str, Any]:
+        name = params.name("map")
+        params.end()
+        if self._recording is not None:
+            raise RpcError.named(
+                ErrorName.BUSY, f"already recording {self._recording.name!r}; say record stop first"
+            )
+        if not self._robot.camera.ok(self._robot.now()):
+            raise RpcError.named(ErrorName.CAMERA_DOWN, f"no pictures to record: {self._robot.camera.reason}")
+        if not self._robot.base.connected:
+            raise RpcError.named(
+                ErrorName.BASE_LINK_DOWN, f"no odometry to record: {self._robot.base.reason}"
+            )
+        path = self._robot.store.new_recording_path(name)
+        try:
+            recorder = await self._robot.off_loop(self._open_recorder, path)
+        except OSError as error:
+            raise RpcError.named(ErrorName.STORAGE, f"{path}: {error.strerror}") from error
+        self._recording = Recording(
+            name, recorder, self._robot.now(), self._robot.control.odometry.distance, set()
+        )
+        self._robot.control.recorder = recorder
+        return {"map": name, "path": str(path)}
+
+    async def _record_stop(
+        self, params: Params, session: Session | None, feedback: Feedback
+    ) -> dict[str, Any]:
+        params.end()
+        if self._recording is None:
+            raise RpcError.named(ErrorName.INVALID, "no recording is running")
+        return await self._end(self._recording)
+
+    async def close(self) -> None:
+        """Ends a running recording whole, as the daemon stops."""
+        if self._recording is not None:
+            await self._end(self._recording)
+
+    async def _end(self, recording: Recording) -> dict[str, Any]:
+        """Close the file; the summary warns of what will make a poor map."""
+        status = self.status(self._robot.now()) or {}
+        self._recording, self._robot.control.recorder = None, None
+        await self._robot.off_loop(recording.recorder.close)
+        status["warnings"] = _recording_warnings(status)
+        return status
+
+    def _note_coverage(self, recording: Recording) -> None:
+        pose = self._robot.control.odometry.odom_from_base
+        recording.cells.add((math.floor(pose.x / COVERAGE_CELL), math.floor(pose.y / COVERAGE_CELL)))
+
+    async def watch_recording(self) -> None:
+        """Notes which floor a running recording has covered, for ever."""
+        while True:
+            await asyncio.sleep(0.5)
+            if self._recording is not None:
+                self._note_coverage(self._recording)
+
+    def status(self, now: float) -> dict[str, Any] | None:
+        recording = self._recording
+        if recording is None:
+            return None
+        self._note_coverage(recording)
+        return {
+            "map": recording.name,
+            "seconds": round(now - recording.started, 1),
+            "distance_m": round(self._robot.control.odometry.distance - recording.distance, 2),
+            "frames": recording.recorder.frames,
+            "dropped": recording.recorder.dropped,
+            "bytes": recording.recorder.bytes_written,
+            "coverage_m2": round(len(recording.cells) * COVERAGE_CELL**2, 2),
+            "error": recording.recorder.error,
+        }
+
+    async def _train(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
+        name = params.name("map")
+        params.end()
+        model = self._robot.perception.model
+        if model is None:
+            raise RpcError.named(
+                ErrorName.CAMERA_DOWN,
+                f"the lens is not known before a picture came: {self._robot.camera.reason}",
+            )
+        if self.training is not None:
+            raise RpcError.named(ErrorName.BUSY, f"map {self.training!r} is being trained")
+        if self._recording is not None and self._recording.name == name:
+            raise RpcError.named(ErrorName.BUSY, f"{name!r} is still being recorded; say record stop first")
+        recording = self._robot.store.recording_path(name)
+        self.training, began = name, self._robot.now()
+        try:
+            topo_map = await self._trainer(
+                recording,
+                name,
+                self._robot.store,
+                model,
+                lambda stage, share: feedback({"stage": stage, "progress": share}),
+            )
+        except (CoreError, RecordingError) as error:
+            raise RpcError.named(ErrorName.TRAINING_FAILED, str(error)) from error
+        finally:
+            self.training = None
+        if self._robot.perception.topo_map is None or self._robot.perception.topo_map.name == name:
+            await self._robot.use(topo_map)
+        return {
+            **summary(self._robot.store, topo_map),
+            "seconds": round(self._robot.now() - began, 1),
+            "warnings": _map_warnings(topo_map),
+        }
+
+
+def _recording_warnings(status: dict[str, Any]) -> list[str]:
+    warnings = []
+    if status["distance_m"] < SHORT_DRIVE:
+        warnings.append(
+            f"only {status['distance_m']:.1f} m driven; drive every part of the floor you want to use"
+        )
+    if status["dropped"]:
+        warnings.append(f"{status['dropped']} frames lost: the disk is too slow")
+    if status["error"]:
+        warnings.append(status["error"])
+    return warnings
+
+
+def _map_warnings(topo_map: TopoMap) -> list[str]:
+    warnings = []
+    if topo_map.statistics.get("ambiguity", 0.0) > 0.1:
+        share = topo_map.statistics["ambiguity"]
+        warnings.append(
+            f"repetitive ceiling: {share:.0%} of the places look like another one more than 0.5 m away"
+        )
+    if topo_map.statistics.get("contrast", math.inf) < 2.0:
+        warnings.append("plain ceiling: little to see; expect less accuracy")
+    return warnings

@@ -1,0 +1,59 @@
+import math
+from dataclasses import replace
+
+import pytest
+
+from omnibotd.core.decision import Observation
+from omnibotd.core.geometry import STOP, Pose2D, Twist2D
+from omnibotd.core.safety import BRAKING, Limits, SafetyGate, hazard
+
+LIMITS = Limits(0.3, 1.0, 0.5, 2.0)
+CLEAR = Observation(0.0, Pose2D())
+FAST = Twist2D(9.0, -9.0)
+
+
+def at_speed(gate: SafetyGate, wanted: Twist2D) -> Twist2D:
+    """The gate after ten seconds of wanting this."""
+    for _ in range(100):
+        twist = gate.limit(wanted, CLEAR, 0.1)
+    return twist
+
+
+def test_speeds_are_clamped_to_the_limits() -> None:
+    assert at_speed(SafetyGate(LIMITS), FAST) == Twist2D(0.3, -1.0)
+
+
+def test_speeding_up_takes_its_time_and_braking_less() -> None:
+    gate = SafetyGate(LIMITS)
+    assert gate.limit(FAST, CLEAR, 0.1).vx == pytest.approx(0.05)
+    at_speed(gate, FAST)
+    assert gate.limit(STOP, CLEAR, 0.1).vx == pytest.approx(0.3 - 0.05 * BRAKING)
+
+
+@pytest.mark.parametrize("danger", [{"emergency_stop": True}, {"base_ok": False}, {"wheel_drop": True}])
+def test_danger_stops_at_once_without_a_ramp(danger: dict[str, bool]) -> None:
+    gate = SafetyGate(LIMITS)
+    at_speed(gate, FAST)
+    seen = replace(CLEAR, **danger)
+    assert hazard(seen) is not None
+    assert gate.limit(FAST, seen, 0.1) == STOP
+
+
+@pytest.mark.parametrize("touch", [{"bumper_left": True}, {"bumper_right": True}, {"cliff": True}])
+def test_a_touched_robot_goes_no_farther_but_may_turn_and_back_off(touch: dict[str, bool]) -> None:
+    gate = SafetyGate(LIMITS)
+    at_speed(gate, Twist2D(0.3, 1.0))
+    seen = replace(CLEAR, **touch)
+    twist = gate.limit(Twist2D(0.3, 1.0), seen, 0.1)
+    assert twist.vx == 0.0
+    assert twist.wz == pytest.approx(1.0)
+    for _ in range(20):
+        twist = gate.limit(Twist2D(-0.1, 0.0), seen, 0.1)
+    assert twist == Twist2D(-0.1, 0.0)
+
+
+@pytest.mark.parametrize("nonsense", [Twist2D(math.nan, 0.0), Twist2D(0.0, math.inf)])
+def test_what_is_no_number_stops(nonsense: Twist2D) -> None:
+    gate = SafetyGate(LIMITS)
+    at_speed(gate, FAST)
+    assert gate.limit(nonsense, CLEAR, 0.1) == STOP
