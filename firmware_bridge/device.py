@@ -179,12 +179,7 @@ class OmnibotDevice:
         )
 
     def _on_setpoint(self, message: SetPoint, seq: int, now: float) -> None:
-        if (
-            self._latched
-            or not self._greeted
-            or message.boot_nonce != self.boot_nonce
-            or not self._newer(seq)
-        ):
+        if self._latched or not self._greeted or message.boot_nonce != self.boot_nonce or not self._newer(seq):
             return
         self._setpoint = (message.left, message.right)
         self._setpoint_seq = seq
@@ -204,9 +199,7 @@ class OmnibotDevice:
             status |= Status.EMERGENCY_STOP
         if self._fed_at is not None:
             status |= Status.MOVING_ALLOWED
-        left, right = (
-            _signed32(ticks - origin) for ticks, origin in zip(self._ticks, self._origin, strict=True)
-        )
+        left, right = (_signed32(ticks - origin) for ticks, origin in zip(self._ticks, self._origin, strict=True))
         return Telemetry(
             boot_nonce=self.boot_nonce,
             mcu_us=int((now - self._booted_at) * 1e6) % 2**32,

@@ -133,9 +133,7 @@ class ControlLoop:
         for event in self._base.drain():
             match event:
                 case Telemetry():
-                    ticks_per_rev = self._ticks_per_rev or (
-                        self._base.info.ticks_per_rev if self._base.info else 0.0
-                    )
+                    ticks_per_rev = self._ticks_per_rev or (self._base.info.ticks_per_rev if self._base.info else 0.0)
                     if ticks_per_rev > 0.0:
                         self.odometry.update(event.stamp, event.left_ticks, event.right_ticks, ticks_per_rev)
                 case Connected(info):
@@ -260,6 +258,8 @@ class ControlLoop:
         if self.recorder is not None:
             self.recorder.odometry(now, self.odometry.odom_from_base)
             self.recorder.command(now, self.twist)
+            if self.map_from_base is not None:
+                self.recorder.pose(now, self.map_from_base)
 
     @property
     def map_from_base(self) -> Pose2D | None:

@@ -10,9 +10,7 @@ from typing import Any, NoReturn
 
 from omnibotd.core.decision import ErrorName
 
-MAX_LINE = (
-    64 * 1024
-)  # bytes; the longest sensible request is a few hundred, and 32 clients may each hold one line
+MAX_LINE = 64 * 1024  # bytes; the longest sensible request is a few hundred, and 32 clients may each hold one line
 _MAX_ID_LENGTH = 128  # an id comes back in every feedback line: a long one would multiply
 _MAX_ID = 2**53  # whole numbers beyond are not exact in every JSON reader
 
@@ -120,9 +118,7 @@ class LineDecoder:
     def feed(self, data: bytes) -> list[Request | ProtocolError]:
         """Everything that `data` completes, in order; blank lines say nothing."""
         return [
-            ProtocolError(PARSE_ERROR, f"line longer than {MAX_LINE} bytes")
-            if line is None
-            else _request(line)
+            ProtocolError(PARSE_ERROR, f"line longer than {MAX_LINE} bytes") if line is None else _request(line)
             for line in self._lines.feed(data)
             if line is None or line.strip()
         ]

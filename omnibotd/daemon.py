@@ -131,12 +131,10 @@ async def serve(config: Config) -> None:
         async def off_loop(function: Callable[..., Any], *arguments: Any) -> Any:
             return await loop.run_in_executor(worker, function, *arguments)
 
-        base = MotorBase(
-            make_driver(config.base.driver), lambda: open_serial(config.base.port, config.base.baudrate)
-        )
+        base = MotorBase(make_driver(config.base.driver), lambda: open_serial(config.base.port, config.base.baudrate))
         store = MapStore(config.storage.directory)
         daemon = Daemon(config, Adapters(Camera(config.camera), base, store, Notifier(), off_loop))
-        server = ControlServer(config.control.socket, config.control.group, daemon.requests.dispatch)
+        server = ControlServer(config.control.socket, config.control.group or "", daemon.requests.dispatch)
         daemon.control.events = server.broadcast
         await server.start()
         try:
@@ -174,9 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point; exit status 2 for a wrong configuration, 1 where the daemon can't start."""
     parser = argparse.ArgumentParser(prog="omnibotd", description=__doc__)
     parser.add_argument("--config", type=Path, default=Path("/etc/omnibotd/omnibotd.yaml"), metavar="FILE")
-    parser.add_argument(
-        "--check", action="store_true", help="check the configuration, say what would be opened, exit"
-    )
+    parser.add_argument("--check", action="store_true", help="check the configuration, say what would be opened, exit")
     parser.add_argument("--version", action="version", version=__version__)
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)

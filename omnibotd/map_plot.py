@@ -69,9 +69,7 @@ class Canvas:
 
     def arrow(self, pose: Pose2D, length: float, colour: Colour) -> None:
         tip = pose.transform(length, 0.0)
-        cv2.arrowedLine(
-            self.image, self.at(pose.x, pose.y), self.at(*tip), colour, 3, cv2.LINE_AA, tipLength=0.35
-        )
+        cv2.arrowedLine(self.image, self.at(pose.x, pose.y), self.at(*tip), colour, 3, cv2.LINE_AA, tipLength=0.35)
 
     def text(self, x: int, y: int, words: str, colour: Colour = INK, size: float = 0.5) -> None:
         cv2.putText(self.image, words, (x, y), _FONT, size, BACKGROUND, 4, cv2.LINE_AA)
@@ -132,17 +130,13 @@ def _marks(canvas: Canvas, topo_map: TopoMap, robot: Pose2D | None) -> None:
         px, py = canvas.at(pose.x, pose.y)
         canvas.text(px + 10, py - 10, name, colour, 0.6)
     if robot is not None:
-        cv2.circle(
-            canvas.image, canvas.at(robot.x, robot.y), round(0.17 * canvas.scale), ROBOT, 2, cv2.LINE_AA
-        )
+        cv2.circle(canvas.image, canvas.at(robot.x, robot.y), round(0.17 * canvas.scale), ROBOT, 2, cv2.LINE_AA)
         canvas.arrow(robot, 0.25, ROBOT)
 
 
 def _legend(canvas: Canvas, topo_map: TopoMap, robot: Pose2D | None, paths: Sequence[Path]) -> None:
     """Title, scale bar and what each colour means, in the strip to the right."""
-    canvas.text(
-        MARGIN, 34, f"map {topo_map.name}: {len(topo_map)} nodes, {len(topo_map.edges)} links", INK, 0.7
-    )
+    canvas.text(MARGIN, 34, f"map {topo_map.name}: {len(topo_map)} nodes, {len(topo_map.edges)} links", INK, 0.7)
     x, y = canvas.right + 20, MARGIN + 20
     rows: list[tuple[str, Colour]] = [("node", NODE), ("floor driven while taught", (200, 210, 190))]
     rows += [(f"{kind.name.lower()} link", colour) for kind, colour in LINKS.items()]

@@ -151,11 +151,9 @@ class Perception:
 def find_lens(frames: list[Frame], fov: float) -> CameraModel:
     """An equidistant lens that fills the image circle seen in the frames, or the smaller side where none is seen."""
     height, width = frames[0].grey().shape
-    circle = image_circle.find([frame.grey() for frame in frames])
+    circle = image_circle.find(frames)
     if circle is None:
-        log.warning(
-            "no image circle found: taking the lens to fill the %d px of the smaller side", min(width, height)
-        )
+        log.warning("no image circle found: taking the lens to fill the %d px of the smaller side", min(width, height))
         return CameraModel.equidistant(width, height, fov)
     cx, cy, radius = circle
     return CameraModel.equidistant(width, height, fov, radius, (cx, cy))

@@ -26,16 +26,14 @@ NICENESS = 15  # the robot drives and docks while this runs; 19 would starve on 
 Progress = Callable[[str, float], None]
 
 
-def train_and_save(
-    recording: Path, name: str, store: MapStore, model: CameraModel, progress: Progress
-) -> TopoMap:
+def train_and_save(recording: Path, name: str, store: MapStore, model: CameraModel, progress: Progress) -> TopoMap:
     """Make a map from a recording and save it; named places and docks of a map of the same recording are kept.
 
     Raises TrainingError, RecordingError, MapStoreError.
     """
     fresh = train(name, teaching_samples(recording), model, progress=progress)
     fresh = replace(fresh, recording=recording.name)
-    if any(entry.name == name for entry in store.list()):
+    if any(entry.name == name and entry.bytes for entry in store.list()):
         old = store.load(name)
         if old.recording == fresh.recording:
             fresh = replace(fresh, places=old.places, docks=old.docks)
@@ -82,9 +80,7 @@ async def _converse(child: asyncio.subprocess.Process, task: dict[str, Any], pro
             progress(message["stage"], message["progress"])
     status = await child.wait()
     if not done:
-        raise TrainingError(
-            f"the training process ended with status {status} before it was done, see the log"
-        )
+        raise TrainingError(f"the training process ended with status {status} before it was done, see the log")
 
 
 def _say(**message: Any) -> None:

@@ -63,7 +63,6 @@ class OmnibotHost:
         self._info: BaseInfo | None = None  # None: hands not shaken
         self._capabilities = Capability(0)
         self._last_nonce: int | None = None  # kept while disconnected: tells a restart from a cut cable
-        self._refused_version: int | None = None
         self._counters = (_Counter(), _Counter())
         self._heard_at = 0.0
         self._hello_at = -math.inf
@@ -174,7 +173,6 @@ class OmnibotHost:
         self._info = _info(reply)
         self._capabilities = Capability(reply.capabilities)
         self._last_nonce = reply.boot_nonce
-        self._refused_version = None
         self._counters = (_Counter(), _Counter())
         self._heard_at = now
         self._hello_due = False
@@ -211,9 +209,7 @@ class OmnibotHost:
             self._request = None
 
     def _refuse(self, version: int) -> list[Event]:
-        if version == self._refused_version:
-            return []
-        self._refused_version = version
+        """Told again at every answer: the owner sees that the base is there."""
         self._info = None
         reason = f"the base speaks protocol {version}, this program {messages.VERSION}: update its firmware"
         return [Disconnected(reason)]

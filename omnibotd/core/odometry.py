@@ -51,6 +51,4 @@ class WheelOdometry:
             return self._history[-1][1]
         (t0, a), (t1, b) = self._history[after - 1], self._history[after]
         share = (stamp - t0) / (t1 - t0) if t1 > t0 else 1.0
-        return Pose2D(
-            a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap(a.yaw + share * wrap(b.yaw - a.yaw))
-        )
+        return Pose2D(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap(a.yaw + share * wrap(b.yaw - a.yaw)))

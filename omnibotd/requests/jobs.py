@@ -75,9 +75,7 @@ class Jobs:
         if at is None:
             if name not in topo_map.places:
                 known = ", ".join(sorted(topo_map.places)) or "none"
-                raise RpcError.named(
-                    ErrorName.NO_SUCH_PLACE, f"no place {name!r}; places of this map: {known}"
-                )
+                raise RpcError.named(ErrorName.NO_SUCH_PLACE, f"no place {name!r}; places of this map: {known}")
             at = topo_map.places[name]
         began = self._robot.now()
         await self._run_job("goto", await self._trip(topo_map, at), feedback)
@@ -95,9 +93,7 @@ class Jobs:
         self._robot.refuse_if_busy()
         frame = self._robot.camera.latest
         if frame is None or not self._robot.camera.ok(self._robot.now()):
-            raise RpcError.named(
-                ErrorName.CAMERA_DOWN, f"no picture of the dock: {self._robot.camera.reason}"
-            )
+            raise RpcError.named(ErrorName.CAMERA_DOWN, f"no picture of the dock: {self._robot.camera.reason}")
         pose = self._robot.sure_pose(f"dock {name!r}")
         await self._robot.edit(topo_map.with_dock(name, Dock(pose, await self._robot.off_loop(frame.jpeg))))
         return {"name": name, "pose": pose_values(pose)}
@@ -110,9 +106,7 @@ class Jobs:
             name = next(iter(topo_map.docks))
         if name is None or name not in topo_map.docks:
             known = ", ".join(sorted(topo_map.docks)) or "none"
-            raise RpcError.named(
-                ErrorName.DOCK_NOT_IN_DB, f"dock {name!r} is not saved; docks of this map: {known}"
-            )
+            raise RpcError.named(ErrorName.DOCK_NOT_IN_DB, f"dock {name!r} is not saved; docks of this map: {known}")
         if self._robot.base.latest is not None and self._robot.base.latest.charging:
             return {"dock": name, "seconds": 0.0, "retries": 0}
         began = self._robot.now()

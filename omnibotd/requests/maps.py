@@ -71,17 +71,12 @@ class Maps:
 
     async def _map_plot(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         topo_map = await self._named_map(params)
-        active = (
-            self._robot.perception.topo_map is not None
-            and topo_map.name == self._robot.perception.topo_map.name
-        )
+        active = self._robot.perception.topo_map is not None and topo_map.name == self._robot.perception.topo_map.name
         robot = self._robot.control.map_from_base if active else None
         png = await self._robot.off_loop(plot_png, topo_map, robot)
         return {"map": topo_map.name, "png": base64.b64encode(png).decode()}
 
-    async def _map_verify(
-        self, params: Params, session: Session | None, feedback: Feedback
-    ) -> dict[str, Any]:
+    async def _map_verify(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         name = params.name("map") if "map" in params else self._robot.active_map().name
         params.end()
         report = await self._robot.off_loop(self._robot.store.verify, name)
@@ -105,9 +100,7 @@ class Maps:
         await self._robot.edit(topo_map.with_place(name, pose))
         return {"name": name, "pose": pose_values(pose)}
 
-    async def _place_list(
-        self, params: Params, session: Session | None, feedback: Feedback
-    ) -> dict[str, Any]:
+    async def _place_list(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         params.end()
         topo_map = self._robot.active_map()
         places = {name: pose_values(pose) for name, pose in topo_map.places.items()}
@@ -116,9 +109,7 @@ class Maps:
             "docks": {name: pose_values(dock.map_from_dock) for name, dock in topo_map.docks.items()},
         }
 
-    async def _place_delete(
-        self, params: Params, session: Session | None, feedback: Feedback
-    ) -> dict[str, Any]:
+    async def _place_delete(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         name = params.name("name")
         params.end()
         await self._robot.edit(self._robot.active_map().without_place(name))

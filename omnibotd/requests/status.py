@@ -56,9 +56,7 @@ class Status:
 
     def _job_status(self, now: float) -> dict[str, Any] | None:
         running = self._robot.control.running
-        return (
-            None if running is None else {"name": running.name, **self._robot.control.progress(running, now)}
-        )
+        return None if running is None else {"name": running.name, **self._robot.control.progress(running, now)}
 
     def _base_status(self) -> dict[str, Any]:
         info = self._robot.base.info
@@ -76,9 +74,7 @@ class Status:
             "source": self._robot.config.camera.source,
             "ok": self._robot.camera.ok(now),
             "rate_hz": round(self._robot.camera.rate_hz, 1),
-            "age_s": round(self._robot.camera.age(now), 2)
-            if math.isfinite(self._robot.camera.age(now))
-            else None,
+            "age_s": round(self._robot.camera.age(now), 2) if math.isfinite(self._robot.camera.age(now)) else None,
             "width": size[0],
             "height": size[1],
             "reason": self._robot.camera.reason or self._robot.perception.reason,

@@ -54,35 +54,25 @@ class Teaching:
             "train": self._train,
         }
 
-    async def _record_start(
-        self, params: Params, session: Session | None, feedback: Feedback
-    ) -> dict[str, Any]:
+    async def _record_start(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         name = params.name("map")
         params.end()
         if self._recording is not None:
-            raise RpcError.named(
-                ErrorName.BUSY, f"already recording {self._recording.name!r}; say record stop first"
-            )
+            raise RpcError.named(ErrorName.BUSY, f"already recording {self._recording.name!r}; say record stop first")
         if not self._robot.camera.ok(self._robot.now()):
             raise RpcError.named(ErrorName.CAMERA_DOWN, f"no pictures to record: {self._robot.camera.reason}")
         if not self._robot.base.connected:
-            raise RpcError.named(
-                ErrorName.BASE_LINK_DOWN, f"no odometry to record: {self._robot.base.reason}"
-            )
+            raise RpcError.named(ErrorName.BASE_LINK_DOWN, f"no odometry to record: {self._robot.base.reason}")
         path = self._robot.store.new_recording_path(name)
         try:
             recorder = await self._robot.off_loop(self._open_recorder, path)
         except OSError as error:
             raise RpcError.named(ErrorName.STORAGE, f"{path}: {error.strerror}") from error
-        self._recording = Recording(
-            name, recorder, self._robot.now(), self._robot.control.odometry.distance, set()
-        )
+        self._recording = Recording(name, recorder, self._robot.now(), self._robot.control.odometry.distance, set())
         self._robot.control.recorder = recorder
         return {"map": name, "path": str(path)}
 
-    async def _record_stop(
-        self, params: Params, session: Session | None, feedback: Feedback
-    ) -> dict[str, Any]:
+    async def _record_stop(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         params.end()
         if self._recording is None:
             raise RpcError.named(ErrorName.INVALID, "no recording is running")
@@ -167,9 +157,7 @@ class Teaching:
 def _recording_warnings(status: dict[str, Any]) -> list[str]:
     warnings = []
     if status["distance_m"] < SHORT_DRIVE:
-        warnings.append(
-            f"only {status['distance_m']:.1f} m driven; drive every part of the floor you want to use"
-        )
+        warnings.append(f"only {status['distance_m']:.1f} m driven; drive every part of the floor you want to use")
     if status["dropped"]:
         warnings.append(f"{status['dropped']} frames lost: the disk is too slow")
     if status["error"]:
@@ -181,9 +169,7 @@ def _map_warnings(topo_map: TopoMap) -> list[str]:
     warnings = []
     if topo_map.statistics.get("ambiguity", 0.0) > 0.1:
         share = topo_map.statistics["ambiguity"]
-        warnings.append(
-            f"repetitive ceiling: {share:.0%} of the places look like another one more than 0.5 m away"
-        )
+        warnings.append(f"repetitive ceiling: {share:.0%} of the places look like another one more than 0.5 m away")
     if topo_map.statistics.get("contrast", math.inf) < 2.0:
         warnings.append("plain ceiling: little to see; expect less accuracy")
     return warnings

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from omnibotd.core.geometry import wrap
+from omnibotd.core.docking.displacement import NO_WALL, Displacement, axes
 from omnibotd.core.vision.frame import FloatImage, Image
 
 Floats = NDArray[np.float64]
@@ -17,60 +17,15 @@ Floats = NDArray[np.float64]
 # Bounds on one step keep the linearisation honest (a step of 0.15 rad moves the rim of a 60 px view by 4.5 px).
 _MAX_TURN = 0.15
 _MAX_SHIFT = 6.0
-# Two views of the same ceiling differ in scale by steps and beams in it, not more.
-_MAX_LOG_SCALE = 0.12
 # Less than a fifth of the target in view says nothing.
 _MIN_OVERLAP = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class Similarity:
-    """Takes a pixel of the target view to the current one, both from the centre: q -> exp(log_scale) R(angle) q + (u, v)."""
-
-    angle: float
-    u: float
-    v: float
-    log_scale: float = 0.0
-
-    @classmethod
-    def of_pose(cls, yaw: float, u: float, v: float) -> Similarity:
-        """From where the current view's axis stands in the target view (u, v pixels) and how far it is turned."""
-        c, s = math.cos(yaw), math.sin(yaw)
-        return cls(wrap(-yaw), -(c * u + s * v), s * u - c * v)
-
-    def pose(self) -> tuple[float, float, float]:
-        """yaw (rad) and u, v (pixels) of the current view's axis in the target view."""
-        c, s, shrink = math.cos(self.angle), math.sin(self.angle), math.exp(-self.log_scale)
-        return wrap(-self.angle), -shrink * (c * self.u + s * self.v), shrink * (s * self.u - c * self.v)
-
-    def zoomed(self, factor: float) -> Similarity:
-        """The same transform between views `factor` times as many pixels wide."""
-        return replace(self, u=self.u * factor, v=self.v * factor)
-
-    def linear(self) -> Floats:
-        """(2, 2) exp(log_scale) R(angle)."""
-        c, s = math.cos(self.angle), math.sin(self.angle)
-        return math.exp(self.log_scale) * np.array([[c, -s], [s, c]])
-
-    def affine(self, size: int) -> Floats:
-        """(2, 3) matrix for cv2.warpAffine with WARP_INVERSE_MAP on views of size x size pixels."""
-        linear, centre = self.linear(), (size - 1) / 2.0
-        offset = np.array([self.u + centre, self.v + centre]) - linear @ np.array([centre, centre])
-        return np.hstack([linear, offset[:, None]])
-
-    def stepped(self, step: Floats) -> Similarity:
-        """After (I + step) applied on the target side; `step` = (turn, u, v[, log_scale])."""
-        u, v = self.linear() @ step[1:3]
-        grown = self.log_scale + (float(step[3]) if len(step) > 3 else 0.0)
-        clipped = min(max(grown, -_MAX_LOG_SCALE), _MAX_LOG_SCALE)
-        return Similarity(self.angle + float(step[0]), self.u + float(u), self.v + float(v), clipped)
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
     """Result of an alignment; `score` is the robust correlation in [-1, 1], -1 when the views don't overlap."""
 
-    similarity: Similarity
+    displacement: Displacement
     score: float
 
 
@@ -91,15 +46,28 @@ class Layer:
             return self
         feature = cv2.resize(self.feature, (size, size), interpolation=cv2.INTER_AREA)
         mask = cv2.resize(self.mask, (size, size), interpolation=cv2.INTER_NEAREST)
-        return Layer(
-            np.asarray(cv2.GaussianBlur(feature, (0, 0), 0.7), np.float32), np.asarray(mask, np.uint8)
-        )
+        return Layer(np.asarray(cv2.GaussianBlur(feature, (0, 0), 0.7), np.float32), np.asarray(mask, np.uint8))
 
-    def warped(self, similarity: Similarity) -> tuple[FloatImage, Image]:
+    def warped(self, displacement: Displacement) -> tuple[FloatImage, Image]:
         """Feature and mask as the target would see them."""
-        affine, size = similarity.affine(self.size), (self.size, self.size)
+        if displacement.wall != NO_WALL:
+            return self._bent(displacement)
+        affine, size = displacement.affine(self.size), (self.size, self.size)
         feature = cv2.warpAffine(self.feature, affine, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         mask = cv2.warpAffine(self.mask, affine, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+        return np.asarray(feature, np.float32), np.asarray(mask, np.uint8)
+
+    def _bent(self, displacement: Displacement) -> tuple[FloatImage, Image]:
+        """With a wall: the shift grows over it."""
+        u, v = axes(self.size)
+        excess = np.maximum(displacement.wall[0] * u + displacement.wall[1] * v - 1.0, 0.0)
+        (a, b, c), (d, e, f) = displacement.affine(self.size)
+        centre = (self.size - 1) / 2.0
+        column = a * u + b * v + displacement.u * excess + (c + (a + b) * centre)
+        row = d * u + e * v + displacement.v * excess + (f + (d + e) * centre)
+        # Both maps float32: OpenCV 5 returns garbage, silently, when one is float64.
+        at, how = (column.astype(np.float32), row.astype(np.float32)), cv2.INTER_LINEAR
+        feature, mask = cv2.remap(self.feature, *at, how), cv2.remap(self.mask, *at, cv2.INTER_NEAREST)
         return np.asarray(feature, np.float32), np.asarray(mask, np.uint8)
 
 
@@ -111,6 +79,7 @@ class Effort:
     huber: float
     with_scale: bool
     tolerance: float
+    with_wall: bool = False
 
 
 class AlignmentTarget:
@@ -120,25 +89,25 @@ class AlignmentTarget:
         self.layer = layer
         self._gradient = _sobel(layer.feature)
         self._pixels = int(np.count_nonzero(layer.mask))
-        axis = (np.arange(layer.size) - (layer.size - 1) / 2.0).astype(np.float32)
-        self._u, self._v = np.meshgrid(axis, axis)
 
-    def align(self, current: Layer, start: Similarity, effort: Effort) -> Alignment:
+    def align(self, current: Layer, start: Displacement, effort: Effort) -> Alignment:
         """Minimise the robust difference between the target and the warped current view, from `start`."""
-        similarity, score = start, -1.0
+        displacement, score = start, -1.0
         unit = effort.tolerance * self.layer.size / 60.0
         for _ in range(effort.iterations):
-            feature, mask = current.warped(similarity)
+            feature, mask = current.warped(displacement)
             seen = (mask & self.layer.mask) > 0
             if np.count_nonzero(seen) < _MIN_OVERLAP * self._pixels:
-                return Alignment(similarity, -1.0)
-            score, step = self._step(feature, seen, effort)
-            similarity = similarity.stepped(step)
+                return Alignment(displacement, -1.0)
+            score, step = self._step(feature, seen, displacement, effort)
+            displacement = displacement.stepped(step)
             if abs(step[0]) * self.layer.size / 2.0 < unit and math.hypot(step[1], step[2]) < unit:
                 break
-        return Alignment(similarity, score)
+        return Alignment(displacement, score)
 
-    def _step(self, feature: FloatImage, seen: NDArray[np.bool_], effort: Effort) -> tuple[float, Floats]:
+    def _step(
+        self, feature: FloatImage, seen: NDArray[np.bool_], displacement: Displacement, effort: Effort
+    ) -> tuple[float, Floats]:
         """Score before the step, and the step."""
         current, gain = _centred(feature, seen)
         target, target_gain = _centred(self.layer.feature, seen)
@@ -152,27 +121,59 @@ class AlignmentTarget:
         weighted = weight * current
         correlation = float(np.vdot(weighted, target))
         energy = float(np.vdot(weighted, current)) * float(np.vdot(weight * target, target))
-        step = self._solve(feature, weight, residual, effort.with_scale)
+        step = _solve(self._jacobian(feature, displacement, effort), weight, residual)
         return correlation / math.sqrt(energy + 1e-9), _bounded(step)
 
-    def _solve(
-        self, feature: FloatImage, weight: FloatImage, residual: FloatImage, with_scale: bool
-    ) -> Floats:
-        gu, gv = (half_sum(a, b) for a, b in zip(_sobel(feature), self._gradient, strict=True))
-        rows = [gv * self._u - gu * self._v, gu, gv]
-        if with_scale:
-            rows.append(gu * self._u + gv * self._v)
-        jacobian = np.stack(rows).reshape(len(rows), -1)
-        weighted = jacobian * weight.reshape(1, -1)
-        normal = (weighted @ jacobian.T).astype(np.float64)
-        # The ridge keeps a flat ceiling (no gradient at all) solvable: it then takes no step.
-        normal[np.diag_indices(len(rows))] = normal.diagonal() * (1.0 + 1e-4) + 1e-6
-        return np.asarray(
-            -np.linalg.solve(normal, (weighted @ residual.ravel()).astype(np.float64)), np.float64
-        )
+    def _jacobian(self, feature: FloatImage, displacement: Displacement, effort: Effort) -> FloatImage:
+        """(parameters, pixels) change of the warped view with each parameter of the step."""
+        u, v = axes(self.layer.size)
+        gu, gv = (_half_sum(a, b) for a, b in zip(_sobel(feature), self._gradient, strict=True))
+        over = _OverWall.of(displacement, gu, gv)
+        gu, gv = over.gu, over.gv
+        rows = [gv * u - gu * v, gu * over.nearer, gv * over.nearer]
+        if effort.with_scale:
+            rows.append(gu * u + gv * v)
+        if effort.with_wall:
+            rows += [over.along * u, over.along * v]
+        return np.stack(rows).reshape(len(rows), -1).astype(np.float32, copy=False)
 
 
-def half_sum(first: FloatImage, second: FloatImage) -> FloatImage:
+@dataclass(frozen=True, slots=True)
+class _OverWall:
+    """Gradients in the target's coordinates, how much nearer each pixel is than the ceiling, and the wall's own gradient.
+
+    Over the wall the map's derivative is L + (u, v) wall^T instead of L = exp(log_scale) R(angle); with t = L^-1 (u, v),
+    g - wall (t.g) / (1 + wall.t) undoes the difference (Sherman-Morrison), and moving `wall` changes the view by t.g.
+    """
+
+    gu: FloatImage
+    gv: FloatImage
+    nearer: FloatImage
+    along: FloatImage
+
+    @classmethod
+    def of(cls, displacement: Displacement, gu: FloatImage, gv: FloatImage) -> _OverWall:
+        if displacement.wall == NO_WALL:
+            return cls(gu, gv, np.ones_like(gu), np.zeros_like(gu))
+        u, v = axes(len(gu))
+        wu, wv = np.float32(displacement.wall[0]), np.float32(displacement.wall[1])
+        tu, tv = np.linalg.solve(displacement.linear(), (displacement.u, displacement.v)).astype(np.float32)
+        near = wu * u + wv * v
+        # 1 + wall.t is the distance left to the wall over that of the dock: never near 0 in front of it.
+        along = np.where(near > 1.0, (tu * gu + tv * gv) / max(np.float32(0.2), 1.0 + wu * tu + wv * tv), 0.0)
+        along = along.astype(np.float32, copy=False)
+        return cls(gu - wu * along, gv - wv * along, np.maximum(near, np.float32(1.0)), along)
+
+
+def _solve(jacobian: FloatImage, weight: FloatImage, residual: FloatImage) -> Floats:
+    weighted = jacobian * weight.reshape(1, -1)
+    normal = (weighted @ jacobian.T).astype(np.float64)
+    # The ridge keeps a flat ceiling (no gradient at all) solvable: it then takes no step.
+    normal[np.diag_indices(len(normal))] = normal.diagonal() * (1.0 + 1e-4) + 1e-6
+    return np.asarray(-np.linalg.solve(normal, (weighted @ residual.ravel()).astype(np.float64)), np.float64)
+
+
+def _half_sum(first: FloatImage, second: FloatImage) -> FloatImage:
     return np.asarray((first + second) * np.float32(0.5), np.float32)
 
 

@@ -8,7 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from omnibotd.core.docking.alignment import Alignment, AlignmentTarget, Effort, Layer, Similarity
+from omnibotd.core.docking.alignment import Alignment, AlignmentTarget, Effort, Layer
+from omnibotd.core.docking.displacement import NO_WALL, Displacement
 from omnibotd.core.docking.features import edge_strength, unoccluded
 from omnibotd.core.docking.rectification import Lookup, Rectification, rim_rays
 from omnibotd.core.docking.rotation import RotationCues, RotationSignature, rotation_hypotheses
@@ -121,40 +122,41 @@ class CoarseRegistration:
         self._coarse, self._middle = (AlignmentTarget(disc.resized(size)) for size in (_COARSE, _MIDDLE))
         self._shifts = ShiftSearch(self._view.coarse, reach * self._focal)
 
-    def fix(self, frame: Frame) -> CoarseFix:
+    def fix(self, frame: Frame, wall: tuple[float, float] = NO_WALL) -> CoarseFix:
+        """`wall`: towards the wall the target stands at, 1 / its distance in ceiling heights; NO_WALL if none is known."""
         view = self._optics.view(frame)
-        tried = [self._aligned(view, candidate, _TRY) for candidate in self._candidates(view)]
+        tried = [self._aligned(view, candidate, _TRY) for candidate in self._candidates(view, wall)]
         tried.sort(key=lambda candidate: -candidate.total)
         refined = [self._aligned(view, candidate, _REFINE) for candidate in _distinct(tried)[:_REFINED]]
         refined.sort(key=lambda candidate: -candidate.total)
         decided = [self._decided(view, candidate) for candidate in _distinct(refined)[:2]]
         decided.sort(key=lambda candidate: -candidate.total)
         margin = decided[0].total - decided[1].total if len(decided) > 1 else 1.0
-        yaw, u, v = decided[0].alignment.similarity.pose()
+        yaw, u, v = decided[0].alignment.displacement.pose()
         return CoarseFix(yaw, u / self._focal, v / self._focal, margin)
 
-    def _candidates(self, view: WideView) -> list[Candidate]:
-        found = []
+    def _candidates(self, view: WideView, wall: tuple[float, float]) -> list[Candidate]:
+        found, near = [], (wall[0] / self._focal, wall[1] / self._focal)
         for turn in rotation_hypotheses(self._view.rotation, view.rotation):
             for shift in self._shifts.find(view.coarse, turn.yaw):
-                start = Similarity.of_pose(turn.yaw, shift.u, shift.v)
+                start = Displacement.of_pose(turn.yaw, shift.u, shift.v, near)
                 worth = shift.peak / 10.0 + 0.6 * turn.rim
                 found.append((worth, Candidate(Alignment(start, 0.0), _RIM_WEIGHT * turn.rim)))
         found.sort(key=lambda pair: -pair[0])
         return [candidate for _, candidate in found[:_TRIED]]
 
     def _aligned(self, view: WideView, candidate: Candidate, effort: Effort) -> Candidate:
-        alignment = self._coarse.align(view.coarse, candidate.alignment.similarity, effort)
-        _, u, v = alignment.similarity.pose()
+        alignment = self._coarse.align(view.coarse, candidate.alignment.displacement, effort)
+        _, u, v = alignment.displacement.pose()
         if math.hypot(u, v) > 1.1 * self._reach * self._focal:
-            alignment = Alignment(alignment.similarity, alignment.score - 0.5)
+            alignment = Alignment(alignment.displacement, alignment.score - 0.5)
         return Candidate(alignment, candidate.bonus)
 
     def _decided(self, view: WideView, candidate: Candidate) -> Candidate:
         """Aligned once more on the middle layer, which tells neighbouring tiles apart better."""
         zoom = _MIDDLE / _COARSE
-        finer = self._middle.align(view.middle, candidate.alignment.similarity.zoomed(zoom), _DECIDE)
-        back = Alignment(finer.similarity.zoomed(1.0 / zoom), finer.score)
+        finer = self._middle.align(view.middle, candidate.alignment.displacement.zoomed(zoom), _DECIDE)
+        back = Alignment(finer.displacement.zoomed(1.0 / zoom), finer.score)
         return Candidate(back, candidate.bonus)
 
 
@@ -162,11 +164,11 @@ def _distinct(candidates: list[Candidate]) -> list[Candidate]:
     """Without those that ended where a better one did; best first in, best first out."""
     kept: list[Candidate] = []
     for candidate in candidates:
-        if not any(_same(candidate.alignment.similarity, other.alignment.similarity) for other in kept):
+        if not any(_same(candidate.alignment.displacement, other.alignment.displacement) for other in kept):
             kept.append(candidate)
     return kept
 
 
-def _same(first: Similarity, second: Similarity) -> bool:
+def _same(first: Displacement, second: Displacement) -> bool:
     (yaw, u, v), (other_yaw, other_u, other_v) = first.pose(), second.pose()
     return abs(wrap(yaw - other_yaw)) < _SAME_YAW and math.hypot(u - other_u, v - other_v) < _SAME_SHIFT

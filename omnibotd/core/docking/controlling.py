@@ -34,9 +34,7 @@ class _Phase(Enum):
 class Controlling:
     """Drives to the dock; `step` returns an Event when the run is over."""
 
-    def __init__(
-        self, limits: Limits, sightings: Sightings, dock_from_odom: Pose2D, observation: Observation
-    ) -> None:
+    def __init__(self, limits: Limits, sightings: Sightings, dock_from_odom: Pose2D, observation: Observation) -> None:
         self._limits = limits
         self._sightings = sightings
         self._dock_from_odom = dock_from_odom

@@ -34,13 +34,9 @@ _MAX_DOUBTS = 3
 
 # Which failure each reason to retry ends in when no retry is left.
 _FAILURES: Mapping[Event, Outcome] = {
-    Event.UNSEEN: Outcome(
-        ErrorName.FAILED_TO_DETECT_DOCK, "the ceiling over the dock was not recognised from here"
-    ),
+    Event.UNSEEN: Outcome(ErrorName.FAILED_TO_DETECT_DOCK, "the ceiling over the dock was not recognised from here"),
     Event.STUCK: Outcome(ErrorName.FAILED_TO_CONTROL, "the dock's pose was not reached, or not confirmed"),
-    Event.NOT_CHARGING: Outcome(
-        ErrorName.FAILED_TO_CHARGE, "at the dock, but the base reports no charging contact"
-    ),
+    Event.NOT_CHARGING: Outcome(ErrorName.FAILED_TO_CHARGE, "at the dock, but the base reports no charging contact"),
 }
 _DOCKED = Outcome(None, "docked")
 _BASE_DOWN = Outcome(ErrorName.BASE_LINK_DOWN, "the base went silent while docking")
@@ -141,9 +137,7 @@ class Docker:
         if following is State.RETRY:
             self._reason = event
         elif following is State.CONTROLLING:
-            self._run = Controlling(
-                self._limits, self._sightings, dock_from_odom(self._fixes[-1]), observation
-            )
+            self._run = Controlling(self._limits, self._sightings, dock_from_odom(self._fixes[-1]), observation)
             self._driven = True
         elif following is State.DOCKED:
             self._outcome = _DOCKED

@@ -21,7 +21,7 @@ class Lookup:
         pixels = camera.project(rays)
         self._shape = (camera.height, camera.width)
         edge = np.array([camera.width - 1.0, camera.height - 1.0])
-        seen = np.isfinite(pixels).all(-1) & (pixels >= 0.0).all(-1) & (pixels <= edge).all(-1)
+        seen = np.asarray(np.all(np.isfinite(pixels) & (pixels >= 0.0) & (pixels <= edge), axis=-1))
         self.valid: Image = np.where(seen, 255, 0).astype(np.uint8)
         # Both maps float32: OpenCV 5 returns garbage, silently, when one is float64.
         where = np.where(seen[..., None], pixels, -1.0).astype(np.float32)

@@ -1,27 +1,22 @@
-"""Where the base stands relative to a dock: registration of the ceiling seen now with the one seen there (thesis ch. 7)."""
+"""Where the base stands relative to a dock: registration of the ceiling seen now with the one seen there.
+
+Thesis chapter 7, whose literal method finds one rotation and one whole-pixel shift; this one tries several and refines.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
-from omnibotd.core.docking.alignment import AlignmentTarget, Effort, Layer, Similarity
-from omnibotd.core.docking.coarse import CoarseRegistration, inner_disc, masked_layer
-from omnibotd.core.docking.rectification import Rectification
+from omnibotd.core.docking.alignment import Alignment, Layer
+from omnibotd.core.docking.coarse import CoarseRegistration
+from omnibotd.core.docking.displacement import NO_WALL, Displacement
+from omnibotd.core.docking.fine import FineRegistration
 from omnibotd.core.geometry import Pose2D, wrap
 from omnibotd.core.percept import HomingEstimate, Verdict
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Frame
 
-FOV = math.radians(100.0)
-# Coarse to fine: each layer's valley is as wide as the error the layer before leaves.
-_LAYERS = (60, 120, 240)
-_EFFORTS = (
-    Effort(iterations=8, huber=2.0, with_scale=False, tolerance=1e-3),
-    Effort(iterations=12, huber=1.0, with_scale=True, tolerance=3e-3),
-    Effort(iterations=8, huber=1.0, with_scale=True, tolerance=3e-3),
-)
 # Metres from the dock beyond which a fix is not looked for: the views share too little of the ceiling.
 REACH = 1.3
 # Correlation of the finest layer: right fixes have more, whatever the light; unrelated views less.
@@ -30,6 +25,14 @@ _MIN_SCORE = 0.35
 _MIN_MARGIN = 0.05
 # A tracked pose this far from the one expected is another tile, not a better estimate (m, rad).
 _TRACK_GATE, _TRACK_YAW_GATE = 0.3, 0.35
+# A wall shows by parallax: distance from the dock, in ceiling heights, from which one is looked for.
+_WALL_PARALLAX = 0.06
+# Correlation that no wall need explain; and below which the wall remembered may be the wrong one.
+_EXPLAINED, _SUSPICIOUS = 0.93, 0.80
+# What another wall must add to the correlation to be believed, and what the same one moved a little.
+_WALL_GAIN, _TUNING_GAIN = 0.03, 0.01
+# Frames to leave a wall alone that could not be bettered: tuning takes twice as long as tracking.
+_TUNING_REST = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,39 +45,60 @@ class CeilingFix:
 
 
 class CeilingRegistration:
-    """Registers frames with one target frame, lengths in ceiling heights; `reach` bounds the search from nothing."""
+    """Registers frames with one target frame, lengths in ceiling heights; `reach` bounds the search from nothing.
+
+    Full fixes learn the wall the target stands at, if any, and all later ones use it.
+    """
 
     def __init__(self, camera: CameraModel, target: Frame, reach: float) -> None:
-        self._rectify = fine_optics(camera)
+        self._fine = FineRegistration(camera, target)
         self._coarse = CoarseRegistration(camera, target, reach)
-        whole = inner_disc(self._layer(target))
-        self._targets = tuple(AlignmentTarget(whole.resized(size)) for size in _LAYERS)
+        self._wall = NO_WALL
+        self._rest = 0
 
     def fix(self, frame: Frame) -> CeilingFix:
         """From nothing."""
-        coarse = self._coarse.fix(frame)
-        pose, score = self._refine(frame, coarse.yaw, coarse.u, coarse.v)
-        return CeilingFix(pose, score, coarse.margin)
+        coarse = self._coarse.fix(frame, self._wall)
+        layer, start = self._fine.layer(frame), self._displacement(coarse.yaw, coarse.u, coarse.v)
+        found = self._bettered(layer, self._fine.align(layer, start))
+        if self._unexplained(found, _SUSPICIOUS if self._wall != NO_WALL else _EXPLAINED):
+            found = self._better(found, self._fine.find_wall(layer, start), _WALL_GAIN)
+        return self._fix(found, coarse.margin)
 
     def track(self, frame: Frame, expected: Pose2D) -> CeilingFix:
         """From an expected pose, right to about a tenth of the height; nothing else is tried, so the margin is 1."""
-        pose, score = self._refine(frame, expected.yaw, expected.y, -expected.x)
-        return CeilingFix(pose, score, 1.0)
+        layer, start = self._fine.layer(frame), self._displacement(expected.yaw, expected.y, -expected.x)
+        return self._fix(self._bettered(layer, self._fine.align(layer, start)), 1.0)
 
-    def _layer(self, frame: Frame) -> Layer:
-        return masked_layer(self._rectify(frame.grey()), self._rectify.valid)
+    def _displacement(self, yaw: float, u: float, v: float) -> Displacement:
+        f = self._fine.focal
+        return Displacement.of_pose(yaw, u * f, v * f, (self._wall[0] / f, self._wall[1] / f))
 
-    def _refine(self, frame: Frame, yaw: float, u: float, v: float) -> tuple[Pose2D, float]:
-        layer, focal = self._layer(frame), self._rectify.focal
-        similarity, score = Similarity.of_pose(yaw, u * focal, v * focal), -1.0
-        for target, effort in zip(self._targets, _EFFORTS, strict=True):
-            zoom = target.layer.size / layer.size
-            result = target.align(layer.resized(target.layer.size), similarity.zoomed(zoom), effort)
-            similarity, score = result.similarity.zoomed(1.0 / zoom), result.score
-            if score <= -1.0:
-                break
-        yaw, u, v = similarity.pose()
-        return Pose2D(-v / focal, u / focal, yaw), score
+    def _bettered(self, layer: Layer, found: Alignment) -> Alignment:
+        """What was found, or the same with the known wall moved a little where that explains the frame better."""
+        self._rest = max(0, self._rest - 1)
+        if self._wall == NO_WALL or self._rest > 0 or not self._unexplained(found, _EXPLAINED):
+            return found
+        better = self._better(found, self._fine.align_wall(layer, found.displacement), _TUNING_GAIN)
+        self._rest = _TUNING_REST if better is found else 0
+        return better
+
+    def _unexplained(self, found: Alignment, score: float) -> bool:
+        """Whether a wall might explain more, and is seen from far enough away to tell."""
+        parallax = math.hypot(found.displacement.u, found.displacement.v) / self._fine.focal
+        return parallax > _WALL_PARALLAX and found.score < score
+
+    def _better(self, found: Alignment, walled: Alignment, gain: float) -> Alignment:
+        """The one to believe; a wall believed is remembered."""
+        if walled.score < found.score + gain:
+            return found
+        u, v = walled.displacement.wall
+        self._wall = (u * self._fine.focal, v * self._fine.focal)
+        return walled
+
+    def _fix(self, found: Alignment, margin: float) -> CeilingFix:
+        yaw, u, v = found.displacement.pose()
+        return CeilingFix(Pose2D(-v / self._fine.focal, u / self._fine.focal, yaw), found.score, margin)
 
 
 class DockRegistration:
@@ -104,9 +128,3 @@ class DockRegistration:
         dock_from_base = Pose2D(pose.x * h, pose.y * h, pose.yaw)
         trusted = verdict if found.score >= _MIN_SCORE else Verdict.REJECTED
         return HomingEstimate(frame.stamp, odom, dock_from_base, found.score, found.margin, trusted)
-
-
-@lru_cache(maxsize=4)
-def fine_optics(camera: CameraModel) -> Rectification:
-    """Tables are dear to compute and depend on the calibration only."""
-    return Rectification(camera, _LAYERS[-1], FOV)

@@ -66,17 +66,13 @@ class RotationCues:
         self._inside = np.clip((1.0 - radius) / 0.24, 0.0, 1.0).astype(np.float32)
         self._bell = np.cos(np.clip(radius, 0.0, 1.0) * (math.pi / 2.0)).astype(np.float32)
         inner = _SPECTRUM_SIZE - 2 * _SPECTRUM_MARGIN
-        self._bell = np.asarray(
-            cv2.resize(self._bell, (inner, inner), interpolation=cv2.INTER_AREA), np.float32
-        )
+        self._bell = np.asarray(cv2.resize(self._bell, (inner, inner), interpolation=cv2.INTER_AREA), np.float32)
         angle, ring = np.meshgrid(np.arange(_BINS) * _SPECTRUM_BIN, np.linspace(4.0, 56.0, 48))
         centre = _SPECTRUM_SIZE / 2.0
         self._polar_u = (centre + ring * np.cos(angle)).astype(np.float32)
         self._polar_v = (centre + ring * np.sin(angle)).astype(np.float32)
 
-    def signature(
-        self, view: Image, feature: FloatImage, mask: Image, rim: Image | None
-    ) -> RotationSignature:
+    def signature(self, view: Image, feature: FloatImage, mask: Image, rim: Image | None) -> RotationSignature:
         """`view` and its `feature` (size, size) with `mask` 255 where seen; `rim` (rings, 360) grey levels along circles."""
         rim_spectrum = None if rim is None else self._rim(rim)
         return RotationSignature(self._edges(view, mask), rim_spectrum, self._spectrum(feature))

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omnibotd.core.docking.alignment import Layer, Similarity
+from omnibotd.core.docking.alignment import Layer
+from omnibotd.core.docking.displacement import Displacement
 from omnibotd.core.vision.frame import FloatImage
 
 # 0 is plain correlation (broad peaks), 1 phase correlation (noise counts as much as structure).
@@ -39,7 +40,7 @@ class ShiftSearch:
 
     def find(self, current: Layer, yaw: float, count: int = 2) -> list[ShiftHypothesis]:
         """The `count` best shifts of the current view, turned by `yaw` to face as the target does."""
-        turned, _ = current.warped(Similarity.of_pose(yaw, 0.0, 0.0))
+        turned, _ = current.warped(Displacement.of_pose(yaw, 0.0, 0.0))
         cross = self._target * np.conj(self._transform(turned))
         cross /= np.abs(cross) ** _WHITENING + 1e-6
         correlation = np.fft.fftshift(np.fft.irfft2(cross))

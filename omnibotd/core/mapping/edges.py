@@ -27,9 +27,7 @@ def make_edges(poses: Floats, links: Links) -> Edges:
     nodes = len(poses)
     driven = np.column_stack([np.arange(nodes - 1), np.arange(1, nodes)])
     place = np.array(links.place, bool)
-    similar = np.column_stack(
-        [np.array(links.earlier, np.intp)[place], np.array(links.later, np.intp)[place]]
-    )
+    similar = np.column_stack([np.array(links.earlier, np.intp)[place], np.array(links.later, np.intp)[place]])
     similar = similar[_length(poses, similar) < _ADJACENT]
     adjacent = _adjacent(poses)
     pairs = np.concatenate([driven, similar, adjacent]).astype(np.int32)

@@ -29,7 +29,7 @@ _COMPASS_LAGS = np.array([1, 2, 3, 5, 8])
 _COMPASS_RANGE, _COMPASS_SCORE = 0.4, 0.65
 # Standard deviations grow as the correlation falls from 1, because the distance between two views does: of a turn (rad;
 # translation leans on it), and of a revisit (m an axis, its true offset being unknown).
-_TURN_SIGMA, _TURN_SIGMA_LOSS, _PLACE_SIGMA, _PLACE_SIGMA_LOSS = 0.006, 0.06, 0.02, 0.4
+_TURN_SIGMA, _TURN_SIGMA_LOSS, _PLACE_SIGMA, _PLACE_SIGMA_LOSS = 0.01, 0.12, 0.02, 0.4
 # Nodes between relaxations: some five metres of driving.
 _BATCH = 60
 
@@ -70,14 +70,14 @@ class PathLinker:
     """
 
     def __init__(self, steps: Floats, views: Harmonics, spectra: NDArray[np.float32]) -> None:
-        self._steps, self._views, self._spectra = steps, views, spectra
+        self.steps, self._views, self._spectra = steps, views, spectra
         self.travelled = np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))
         self.poses = np.zeros((len(steps), 3))
         self.links = Links()
 
     def run(self, progress: Callable[[float], None]) -> None:
         """Place and link every node, relaxing as it goes and thoroughly at the end."""
-        nodes = len(self._steps)
+        nodes = len(self.steps)
         for node in range(1, nodes):
             self._place(node)
             self._measure_turns(node)
@@ -89,17 +89,19 @@ class PathLinker:
 
     def relax(self, nodes: int, rounds: int) -> None:
         """Headings, then positions, of the first `nodes` nodes from odometry and all links so far."""
-        steps = self._steps[:nodes]
-        turns = joined([_odometry_turns(steps), self.links.turns()])
-        headings = relax_headings(turns, self.poses[:nodes, 2], rounds)
-        offsets = joined([odometry_offsets(steps, headings), self.links.revisits()])
+        headings = relax_headings(self.turns(nodes), self.poses[:nodes, 2], rounds)
+        offsets = joined([odometry_offsets(self.steps[:nodes], headings), self.links.revisits()])
         self.poses[:nodes, :2] = relax_positions(offsets, nodes, nodes - 1, rounds)
         self.poses[:nodes, 2] = headings
+
+    def turns(self, nodes: int) -> Differences:
+        """Turns between the first `nodes` nodes as odometry and all links so far have them."""
+        return joined([_odometry_turns(self.steps[:nodes]), self.links.turns()])
 
     def _place(self, node: int) -> None:
         """Predict from the node before, by odometry."""
         x, y, yaw = self.poses[node - 1]
-        dx, dy, turn = self._steps[node]
+        dx, dy, turn = self.steps[node]
         c, s = np.cos(yaw), np.sin(yaw)
         self.poses[node] = x + c * dx - s * dy, y + s * dx + c * dy, yaw + turn
 
@@ -137,9 +139,9 @@ class PathLinker:
 
 
 def _odometry_turns(steps: Floats) -> Differences:
-    """Wheels: 0.6 degrees of jitter, 2 % of the turn, and 1.7 degrees a metre of path."""
+    """Wheels: 0.2 degrees of jitter, 3 % of the turn, and 1.7 degrees a metre of path."""
     length = np.hypot(steps[1:, 0], steps[1:, 1])
-    sigma = 0.01 + 0.02 * np.abs(steps[1:, 2]) + 0.03 * length
+    sigma = 0.004 + 0.03 * np.abs(steps[1:, 2]) + 0.03 * length
     node = np.arange(1, len(steps))
     return Differences(node - 1, node, steps[1:, 2], sigma)
 

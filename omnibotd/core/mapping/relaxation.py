@@ -51,12 +51,14 @@ def joined(parts: list[Differences]) -> Differences:
     )
 
 
-def relaxed(rows: csr_matrix, values: Floats, sigma: Floats, trusted: int, rounds: int = 6) -> Floats:
-    """(N, d) with rows @ result = values (M, d) as nearly as sigma (M,) asks, result[0] near 0.
+def relaxed(
+    rows: csr_matrix, values: Floats, sigma: Floats, trusted: int, rounds: int = 6, held: tuple[int, ...] = (0,)
+) -> Floats:
+    """(N, d) with rows @ result = values (M, d) as nearly as sigma (M,) asks, result[held] near 0.
 
     Reweighted: the first `trusted` rows keep their weight, the others lose it as their residual grows.
     """
-    anchor = coo_matrix(([_ANCHOR], ([0], [0])), shape=(rows.shape[1],) * 2).tocsc()
+    anchor = coo_matrix(([_ANCHOR] * len(held), (held, held)), shape=(rows.shape[1],) * 2).tocsc()
     weights = 1.0 / sigma**2
     result = np.zeros((rows.shape[1], values.shape[1]))
     for _ in range(rounds):

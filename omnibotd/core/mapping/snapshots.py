@@ -26,9 +26,7 @@ def pack(views: View) -> NDArray[np.uint8]:
 def unpack(snapshots: NDArray[np.uint8]) -> View:
     """(N, BYTES) snapshots to (N, RINGS, SECTORS) views, to within half a level inside the range."""
     if snapshots.ndim != 2 or snapshots.shape[1] != BYTES:
-        raise MapError(
-            f"snapshots of shape {snapshots.shape}, expected (N, {BYTES}): the map is from another version"
-        )
+        raise MapError(f"snapshots of shape {snapshots.shape}, expected (N, {BYTES}): the map is from another version")
     levels = np.empty((len(snapshots), CELLS), np.float32)
     levels[:, 0::2] = snapshots & 15
     levels[:, 1::2] = snapshots >> 4

@@ -60,9 +60,7 @@ class Som:
         """Share of samples whose two best units are not among each other's eight neighbours on the torus."""
         best = np.argsort(self.distances(samples), axis=1, kind="stable")[:, :2]
         row, column = np.divmod(best, self.side)
-        apart = np.maximum(
-            _around(row[:, 0] - row[:, 1], self.side), _around(column[:, 0] - column[:, 1], self.side)
-        )
+        apart = np.maximum(_around(row[:, 0] - row[:, 1], self.side), _around(column[:, 0] - column[:, 1], self.side))
         return float((apart > 1).mean())
 
 

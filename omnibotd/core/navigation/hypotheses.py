@@ -17,6 +17,8 @@ _NEAR, _NEAR_TURN = 0.4, 0.35
 _TEMPERATURE = 0.05
 # What a hypothesis nobody speaks for, and one frame, may lose at most: one bad frame shall not decide.
 _UNSUPPORTED, _WORST = 0.25, 4.0
+# How far a node that correlates so well may be (m).
+_NODE_SIGMA, _NODE_SIGMA_LOSS = 0.04, 0.45
 # Prior of having been carried to any new candidate, against having driven here.
 _KIDNAPPED = -4.0
 
@@ -45,13 +47,16 @@ class Hypotheses:
         """(H,) best score of the candidates (C, 3), (C,) near each hypothesis; -1 where there is none."""
         return np.where(self._near(poses), scores, -1.0).max(1, initial=-1.0)
 
-    def weigh(self, poses: Floats, scores: Floats, evidence: float) -> None:
-        """Reweigh by candidates; `evidence` in (0, 1] says how independent this frame is of the last one."""
+    def weigh(self, poses: Floats, scores: Floats, excused: Floats, evidence: float) -> None:
+        """Reweigh by candidates; `evidence` in (0, 1] says how independent this frame is of the last one.
+
+        `excused` (H,) is the least support a hypothesis is given: where no node is near, none can speak for it.
+        """
         if not len(self):
             return
         top = scores.max(initial=-1.0)
-        support = np.maximum(self.supported(poses, scores), top - _UNSUPPORTED)
-        self.log_weights += evidence * np.maximum((support - top) / _TEMPERATURE, -_WORST)
+        support = np.maximum(self.supported(poses, scores), np.maximum(excused, top - _UNSUPPORTED))
+        self.log_weights += evidence * np.clip((support - top) / _TEMPERATURE, -_WORST, 0.0)
         self._tidy()
 
     def propose(self, poses: Floats, scores: Floats) -> None:
@@ -62,7 +67,7 @@ class Hypotheses:
             if not self._near(pose[None]).any():
                 self.poses = np.vstack([self.poses, pose])
                 self.log_weights = np.append(self.log_weights, prior + (score - top) / _TEMPERATURE)
-                self.sigmas = np.append(self.sigmas, 0.1)
+                self.sigmas = np.append(self.sigmas, _NODE_SIGMA + _NODE_SIGMA_LOSS * (1.0 - score))
         self._tidy()
 
     def place(self, index: int, pose: Pose2D, sigma: float) -> None:

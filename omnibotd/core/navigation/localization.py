@@ -16,7 +16,7 @@ from omnibotd.core.mapping import regression
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation.hypotheses import Hypotheses
 from omnibotd.core.navigation.node_index import NodeIndex
-from omnibotd.core.navigation.trust import Trust
+from omnibotd.core.navigation.trust import Sight, Trust, covered
 from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.descriptor import Descriptor, Harmonics, harmonics
@@ -29,15 +29,21 @@ Floats = NDArray[np.float64]
 _RECOGNISED = 0.4
 # Candidates this much worse than the best start no hypothesis of their own.
 _WORTH_PROPOSING = 0.15
+# Support that a hypothesis without any node near is given: what chance look-alikes reach.
+_BY_CHANCE = 0.55
 # Nodes round the likeliest poses are always compared, whatever the SOM says: tracking survives a change of light.
 _TRACKED, _LOCAL, _LOCAL_RADIUS = 3, 5, 0.4
+# A likeliest pose this far (m) from where the last one went is another one.
+_JUMP = 0.4
 # The margin is taken to the best candidate at least this far away (m).
 _ELSEWHERE = 0.5
 # Frames become independent evidence with motion: e-folding length (m), a turn's worth (m/rad), and what a frame at rest
 # counts, so that a kidnapped robot notices within seconds.
 _INDEPENDENT, _TURN_WORTH, _AT_REST = 0.15, 0.1, 0.1
+# Confidence is the belief that the pose is within this distance (m).
+_RIGHT = 0.25
 # Regression: fewest neighbours, how far it may pull, its standard deviation; that of the best node's own pose.
-_FEWEST, _RADIUS, _GATE, _TURN_GATE, _SIGMA, _NODE_SIGMA = 6, 0.45, 0.25, 0.2, 0.04, 0.15
+_FEWEST, _GATE, _TURN_GATE = 3, 0.25, 0.2
 # Regression errors repeat from frame to frame: never believe to be surer than this.
 _SURE = 0.02
 
@@ -62,13 +68,19 @@ class Localizer:
         moved = self._move(odom_from_base)
         poses, scores, nodes = self._candidates(view)
         evidence = _AT_REST + (1.0 - _AT_REST) * (1.0 - math.exp(-moved / _INDEPENDENT))
-        if scores.max(initial=-1.0) >= _RECOGNISED:
-            self._hypotheses.weigh(poses, scores, evidence)
+        tracked = self._hypotheses.poses[:1].copy()
+        if _best(scores) >= _RECOGNISED:
+            self._hypotheses.weigh(poses, scores, self._excused(), evidence)
             self._propose(poses, scores)
         if not len(self._hypotheses):
             return PlaceEstimate(frame.stamp, odom_from_base, Pose2D(), 0.0, math.inf, _best(scores), 0.0, -1)
-        self._sharpen(view, poses, scores)
-        return self._estimate(frame.stamp, odom_from_base, poses, scores, nodes, moved)
+        if len(tracked) and np.hypot(*(self._hypotheses.poses[0] - tracked[0])[:2]) > _JUMP:
+            self._trust.start_again()
+        fitted = self._sharpen(view)
+        return self._estimate(frame.stamp, odom_from_base, fitted, poses, scores, nodes, moved)
+
+    def _excused(self) -> Floats:
+        return np.array([_BY_CHANCE * (1.0 - covered(self._index.distance(x, y))) for x, y, _ in self._hypotheses.poses])
 
     def _move(self, odom_from_base: Pose2D) -> float:
         """Carry the hypotheses along; returns the motion in metres, turns included."""
@@ -93,32 +105,51 @@ class Localizer:
         worthy = (scores > scores[0] - _WORTH_PROPOSING) & (scores >= _RECOGNISED)
         self._hypotheses.propose(poses[worthy], scores[worthy])
 
-    def _sharpen(self, view: View, poses: Floats, scores: Floats) -> None:
-        """Correct the likeliest hypothesis by local regression, or where nodes are too few by the nodes that fit."""
+    def _sharpen(self, view: View) -> float:
+        """Correct the likeliest hypothesis by regression; returns how well the view predicted there correlates, or -1."""
         x, y, yaw = (float(value) for value in self._hypotheses.poses[0])
-        near = self._index.near(x, y, _RADIUS, regression.NEIGHBOURS)
-        if len(near) >= _FEWEST:
-            prior, sigma = Pose2D(x, y, yaw), float(self._hypotheses.sigmas[0])
-            found = regression.refine(view, prior, sigma, self._index.poses[near, :2], self._index.aligned(near))
-            if found.pose.distance(prior) < _GATE and abs(math.remainder(found.pose.yaw - yaw, math.tau)) < _TURN_GATE:
-                self._hypotheses.place(0, found.pose, found.sigma)
-        self._hypotheses.sigmas[0] = max(self._hypotheses.sigmas[0], _SURE)
+        near = self._index.near(x, y, regression.RADIUS, regression.NEIGHBOURS)
+        if len(near) < _FEWEST:
+            return -1.0
+        prior, sigma = Pose2D(x, y, yaw), float(self._hypotheses.sigmas[0])
+        found = regression.refine(view, prior, sigma, self._index.poses[near, :2], self._index.aligned(near))
+        if found.pose.distance(prior) > _GATE or abs(math.remainder(found.pose.yaw - yaw, math.tau)) > _TURN_GATE:
+            return -1.0
+        self._hypotheses.place(0, found.pose, max(found.sigma, _SURE))
+        return found.score
 
     def _estimate(
-        self, stamp: float, odom: Pose2D, poses: Floats, scores: Floats, nodes: NDArray[np.intp], moved: float
+        self,
+        stamp: float,
+        odom: Pose2D,
+        fitted: float,
+        poses: Floats,
+        scores: Floats,
+        nodes: NDArray[np.intp],
+        moved: float,
     ) -> PlaceEstimate:
         x, y, yaw = (float(value) for value in self._hypotheses.poses[0])
         apart = np.hypot(poses[:, 0] - x, poses[:, 1] - y)
-        score = float(self._hypotheses.supported(poses, scores)[0])
-        rival = float(scores[apart > _ELSEWHERE].max(initial=-1.0))
-        margin = score - rival
-        trust = self._trust.update(score, _best(scores), margin, moved)
-        node = int(nodes[int(apart.argmin())])
-        confidence = trust * self._hypotheses.share()
+        score = max(fitted, float(self._hypotheses.supported(poses, scores)[0]))
+        elsewhere = float(scores[apart > _ELSEWHERE].max(initial=-1.0))
+        sigma = float(self._hypotheses.sigmas[0])
+        trust = self._trust.update(Sight(score, elsewhere, self._index.distance(x, y), moved))
         return PlaceEstimate(
-            stamp, odom, Pose2D(x, y, yaw), confidence, float(self._hypotheses.sigmas[0]), score, margin, node
+            stamp,
+            odom,
+            Pose2D(x, y, yaw),
+            confidence=trust * self._hypotheses.share() * _within(sigma),
+            sigma=sigma,
+            score=score,
+            margin=score - elsewhere,
+            node=int(nodes[int(apart.argmin())]),
         )
 
 
 def _best(scores: Floats) -> float:
     return float(scores.max(initial=-1.0))
+
+
+def _within(sigma: float) -> float:
+    """Chance that a pose with `sigma` an axis is within the 0.25 m that `confidence` stands for."""
+    return 1.0 - math.exp(-(_RIGHT**2) / (2.0 * sigma**2))

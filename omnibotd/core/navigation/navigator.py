@@ -110,17 +110,13 @@ class Navigator:
     def _abort(self, seen: Observation) -> Outcome | None:
         """Conditions that end the job in any state, worst first."""
         if seen.emergency_stop:
-            return Outcome(
-                ErrorName.EMERGENCY_STOP, "the emergency stop is pressed; release it and start again"
-            )
+            return Outcome(ErrorName.EMERGENCY_STOP, "the emergency stop is pressed; release it and start again")
         if not seen.base_ok:
             return Outcome(ErrorName.BASE_LINK_DOWN, "the base stopped answering; check its cable and power")
         if not seen.camera_ok:
             return Outcome(ErrorName.CAMERA_DOWN, "no picture from the camera for a second; check its cable")
         if seen.wheel_drop:
-            return Outcome(
-                ErrorName.BLOCKED, "a wheel hangs in the air; put the robot on the floor and start again"
-            )
+            return Outcome(ErrorName.BLOCKED, "a wheel hangs in the air; put the robot on the floor and start again")
         if seen.stamp > self._deadline:
             return Outcome(ErrorName.TIMEOUT, f"not there after {seen.stamp - (self._started or 0.0):.0f} s")
         return None
@@ -129,11 +125,7 @@ class Navigator:
         if self._last_odom is not None:
             self._turned += abs(wrap(seen.odom_from_base.yaw - self._last_odom.yaw))
         self._last_odom = seen.odom_from_base
-        if (
-            seen.place is not None
-            and seen.place.confidence >= SURE
-            and self._filter.map_from_base is not None
-        ):
+        if seen.place is not None and seen.place.confidence >= SURE and self._filter.map_from_base is not None:
             self._sure_at = (seen.place.stamp, seen.odom_from_base)
 
     def _sure(self, seen: Observation) -> bool:
@@ -155,9 +147,7 @@ class Navigator:
     def _set_out(self, seen: Observation, here: Pose2D) -> Decision:
         distance = self._route.distance(here)
         if not math.isfinite(distance):
-            return self._decide(
-                STOP, Outcome(ErrorName.NO_ROUTE, "no driven way leads from here to the goal")
-            )
+            return self._decide(STOP, Outcome(ErrorName.NO_ROUTE, "no driven way leads from here to the goal"))
         self._deadline = seen.stamp + PATIENCE + distance / SLOWEST
         self.state, self._turned = NavigatorState.FOLLOWING, 0.0
         return self._follow(seen, here)
@@ -169,12 +159,8 @@ class Navigator:
             return self._arrive(seen, here)
         carrot = self._route.carrot(here)
         if carrot is None:
-            return self._decide(
-                STOP, Outcome(ErrorName.NO_ROUTE, "no driven way leads from here to the goal")
-            )
-        wanted = pursuit(
-            here.bearing(carrot), max(here.distance(carrot), self._tolerance.xy / 2.0), self._limits
-        )
+            return self._decide(STOP, Outcome(ErrorName.NO_ROUTE, "no driven way leads from here to the goal"))
+        wanted = pursuit(here.bearing(carrot), max(here.distance(carrot), self._tolerance.xy / 2.0), self._limits)
         return self._decide(self._steer(wanted, here))
 
     def _steer(self, wanted: Twist2D, here: Pose2D) -> Twist2D:

@@ -75,6 +75,11 @@ class NodeIndex:
             inside = inside[np.argpartition(squared, count)[:count]]
         return inside
 
+    def distance(self, x: float, y: float) -> float:
+        """Metres from (x, y) to the nearest node."""
+        dx, dy = self.poses[:, 0] - np.float32(x), self.poses[:, 1] - np.float32(y)
+        return float(np.sqrt((dx * dx + dy * dy).min()))
+
     def compare(self, query: Harmonics, nodes: Nodes) -> tuple[Floats, Floats]:
         """Map heading (M,) at which the query fits each node best, and the correlation (M,) there."""
         return correlate(query, harmonics(self.aligned(nodes)))

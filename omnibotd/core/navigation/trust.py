@@ -1,45 +1,76 @@
-"""Am I lost? Trust in the tracked pose: earned over metres of agreement, lost within a second or two of disagreement."""
+"""Am I lost? Trust in the tracked pose: earned over metres of agreement, lost within a second or so of disagreement."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 # A match at the tracked pose of 0.45 says nothing, of 0.65 all it can.
 _POOR, _GOOD = 0.45, 0.65
-# A candidate elsewhere better than the tracked pose by this contradicts it.
-_CONTRADICTED = 0.1
+# A better match elsewhere contradicts: by how much better, and how good it must be itself.
+_BETTER, _MUCH_BETTER = 0.1, 0.3
+_CREDIBLE, _STRONG = 0.45, 0.65
 # Lead over everything elsewhere that settles the matter.
 _CLEAR_LEAD = 0.15
 # Metres of agreement to be convinced, with no lead and with a clear one.
 _SLOW, _FAST = 1.5, 0.15
-# What the first frame can earn at once.
-_AT_FIRST = 0.75
-# Share of trust lost a frame when nothing fits; at 5 to 10 frames a second half is gone within a second.
-_LOSS = 0.12
+# What the first frame can earn at once, and what a frame at rest with a clear lead is worth in metres.
+_AT_FIRST, _AT_REST = 0.75, 0.02
+# Shares of trust lost a frame: contradicted by another place; or nothing fits where nodes are near. At 5 to 10 frames a
+# second a kidnapped robot doubts within half a second, and so does one under a cover.
+_CONTRADICTED, _UNFIT = 0.6, 0.25
+# Between the paths driven while teaching nothing is expected to fit, and trust lasts these metres of odometry.
+_BLIND = 2.0
+# Distances to the nearest node (m) from which less and nothing is expected.
+_COVERED, _UNCOVERED = 0.15, 0.45
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What one frame says about the tracked pose: `score` there, best score `elsewhere`, metres to the `nearest` node,
+    and metres `moved` since the frame before."""
+
+    score: float
+    elsewhere: float
+    nearest: float
+    moved: float
 
 
 class Trust:
-    """A number in [0, 1]."""
+    """A number in [0, 1] for one tracked pose."""
 
     def __init__(self) -> None:
-        self._value = 0.0
+        self.value = 0.0
         self._fresh = True
 
-    def update(self, score: float, best: float, margin: float, moved: float) -> float:
-        """`score` at the tracked pose, `best` anywhere, `margin` over elsewhere, metres `moved` since the last frame."""
-        fit = _ramp(score, _POOR, _GOOD)
-        agreement = fit * (1.0 - _ramp(best - score, 0.0, _CONTRADICTED))
-        lead = _ramp(margin, 0.0, _CLEAR_LEAD)
+    def start_again(self) -> None:
+        """Another pose is tracked from now on."""
+        self._fresh = True
+
+    def update(self, sight: Sight) -> float:
+        """Take a frame into account; returns the new value."""
+        fit = ramp(sight.score, _POOR, _GOOD)
+        lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD)
+        contradicted = ramp(sight.elsewhere - sight.score, _BETTER, _MUCH_BETTER)
+        contradicted *= ramp(sight.elsewhere, _CREDIBLE, _STRONG)
         if self._fresh:
             self._fresh = False
-            self._value = _AT_FIRST * agreement * lead
-        elif agreement >= 0.5:
-            length = _SLOW + (_FAST - _SLOW) * lead
-            self._value += (1.0 - self._value) * agreement * (1.0 - math.exp(-moved / length))
-        else:
-            self._value *= 1.0 - _LOSS * (1.0 - 2.0 * agreement)
-        return self._value
+            self.value = _AT_FIRST * fit * lead
+            return self.value
+        length = _SLOW + (_FAST - _SLOW) * lead
+        gained = 1.0 - math.exp(-(sight.moved + _AT_REST * lead) / length)
+        self.value += (1.0 - self.value) * fit * (1.0 - contradicted) * gained
+        self.value *= 1.0 - _CONTRADICTED * contradicted
+        self.value *= 1.0 - _UNFIT * (1.0 - fit) * covered(sight.nearest)
+        self.value *= math.exp(-sight.moved / _BLIND * (1.0 - fit))
+        return self.value
 
 
-def _ramp(value: float, low: float, high: float) -> float:
+def covered(nearest: float) -> float:
+    """1 where a node is near enough that its view must fit, 0 where none is."""
+    return 1.0 - ramp(nearest, _COVERED, _UNCOVERED)
+
+
+def ramp(value: float, low: float, high: float) -> float:
+    """0 up to `low`, 1 from `high`, straight between."""
     return min(max((value - low) / (high - low), 0.0), 1.0)

@@ -72,13 +72,9 @@ class CameraModel:
         except (KeyError, TypeError, ValueError) as error:
             raise CameraModelError(f"camera_info: missing or malformed {error}") from error
         if model not in ("equidistant", "fisheye"):
-            raise CameraModelError(
-                f"camera_info: distortion_model {model!r}, expected 'equidistant' (OpenCV fisheye)"
-            )
+            raise CameraModelError(f"camera_info: distortion_model {model!r}, expected 'equidistant' (OpenCV fisheye)")
         if len(k) != 9 or len(d) != 4:
-            raise CameraModelError(
-                f"camera_info: {len(k)} matrix and {len(d)} distortion values, expected 9 and 4"
-            )
+            raise CameraModelError(f"camera_info: {len(k)} matrix and {len(d)} distortion values, expected 9 and 4")
         return cls(width, height, k[0], k[4], k[2], k[5], (d[0], d[1], d[2], d[3]), fov=fov)
 
     @property

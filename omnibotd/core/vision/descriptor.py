@@ -80,6 +80,4 @@ def turned(views: View, yaw: NDArray[np.floating]) -> View:
 
 def turn_derivative(views: View) -> View:
     """How views (..., RINGS, SECTORS) change per radian when the heading they are turned by grows."""
-    return np.asarray(
-        np.fft.irfft(np.fft.rfft(views, axis=-1) * (-1j * _ORDERS), n=SECTORS, axis=-1), np.float32
-    )
+    return np.asarray(np.fft.irfft(np.fft.rfft(views, axis=-1) * (-1j * _ORDERS), n=SECTORS, axis=-1), np.float32)

@@ -87,8 +87,7 @@ class Rehearsal:
     def __init__(self, world: World, dock: Pose2D, now: World | None = None) -> None:
         """`now` is the room in the light of the docking, when it differs from that of the snapshot."""
         self.world, self.dock = now or world, dock
-        snapshot = Frame(0.0, world.render(dock.x, dock.y, dock.yaw, 0.0))
-        self.registration = DockRegistration(CAMERA, Frame(0.0, snapshot.jpeg()), CEILING_HEIGHT)
+        self._snapshot = Frame(0.0, Frame(0.0, world.render(dock.x, dock.y, dock.yaw, 0.0)).jpeg())
 
     def start(self, seed: int, radius: float = 1.0) -> Pose2D:
         """A free pose within `radius` of the dock, any heading."""
@@ -101,6 +100,7 @@ class Rehearsal:
 
     def run(self, start: Pose2D, seed: int) -> Run:
         base, docker, stamp = Base(start, seed), Docker("home"), 100.0
+        registration = DockRegistration(CAMERA, self._snapshot, CEILING_HEIGHT)
         pipeline: deque[HomingEstimate | None] = deque([None] * LAG, maxlen=LAG)
         newest: HomingEstimate | None = None
         while True:
@@ -109,18 +109,20 @@ class Rehearsal:
             if decision.outcome is not None:
                 return self._result(decision.outcome, stamp - 100.0, base, decision.recoveries)
             base.drive(decision.twist, TICK * 0.4)
-            pipeline.append(self._see(decision, base, stamp + TICK * 0.4))
+            pipeline.append(self._see(registration, decision, base, stamp + TICK * 0.4))
             base.drive(decision.twist, TICK * 0.6)
             stamp += TICK
 
-    def _see(self, decision: Decision, base: Base, stamp: float) -> HomingEstimate | None:
+    def _see(
+        self, registration: DockRegistration, decision: Decision, base: Base, stamp: float
+    ) -> HomingEstimate | None:
         if decision.homing is None:
             return None
         pose, odom = base.room_from_base, base.odom_from_base
         frame = Frame(stamp, self.world.render(pose.x, pose.y, pose.yaw, stamp))
         if decision.homing.dock_from_odom is None:
-            return self.registration.fix(frame, odom)
-        return self.registration.track(frame, odom, decision.homing.dock_from_odom @ odom)
+            return registration.fix(frame, odom)
+        return registration.track(frame, odom, decision.homing.dock_from_odom @ odom)
 
     def _result(self, outcome: Outcome, seconds: float, base: Base, retries: int) -> Run:
         error = self.dock.inverse() @ base.room_from_base

@@ -1,0 +1,125 @@
+"""The command line of omnibotctl."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NoReturn
+
+from omnibotd import __version__, cli_output
+from omnibotd import cli_verbs as verbs
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not -1e6 < value < 1e6:
+        raise ValueError
+    return value
+
+
+_number.__name__ = "number"  # how argparse calls it when refusing
+
+
+def _pose(text: str) -> list[float]:
+    values = [_number(part) for part in text.split(",")]
+    if len(values) != 3:
+        raise ValueError
+    return values
+
+
+_pose.__name__ = "pose X,Y,YAW in metres and radians"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises UsageError instead of ending the program, so that --json holds for wrong usage too."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        raise verbs.UsageError(f"{self.prog}: {message} (--help tells more)")
+
+
+def parser(default_socket: str) -> argparse.ArgumentParser:
+    """Of the whole command line; the options hold what the verb needs, `run(terminal, options)`, and `socket`."""
+    top = _Parser(prog="omnibotctl", description="Ask and command omnibotd.", parents=[_general()])
+    top.set_defaults(socket=default_socket)
+    top.add_argument("--version", action="version", version=__version__)
+    group = top.add_subparsers(metavar="VERB", required=True)
+    _add_watching(group)
+    _add_moving(group)
+    _add_teaching(group)
+    _add_maps(_family(group, "map", "list, choose, show and check maps"))
+    _add_places(_family(group, "place", "named places of the map"))
+    return top
+
+
+def _general() -> argparse.ArgumentParser:
+    """Options that may stand before and behind the verb."""
+    general = _Parser(add_help=False)
+    general.add_argument("--socket", metavar="PATH", default=argparse.SUPPRESS, help="where omnibotd listens")
+    general.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON object")
+    return general
+
+
+def _family(group: Any, name: str, help_text: str) -> Any:
+    made = group.add_parser(name, help=help_text, description=help_text, parents=[_general()])
+    return made.add_subparsers(metavar="WHAT", required=True)
+
+
+def _verb(group: Any, name: str, help_text: str, run: verbs.Verb, *arguments: str) -> argparse.ArgumentParser:
+    """Adds a verb with its positional arguments; `name?` may be left out."""
+    made: argparse.ArgumentParser = group.add_parser(name, help=help_text, description=help_text, parents=[_general()])
+    made.set_defaults(run=run)
+    for argument in arguments:
+        made.add_argument(argument.strip("?"), nargs="?" if argument.endswith("?") else None)
+    return made
+
+
+def _add_at(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--at", type=_pose, metavar="X,Y,YAW", help="m, m, rad in the map")
+
+
+def _add_watching(group: Any) -> None:
+    status = _verb(group, "status", "what the robot is, where, and how it does", verbs.status)
+    status.add_argument("--watch", action="store_true", help="again every second, until Ctrl-C")
+    _verb(group, "events", "what happens, one JSON object a line", verbs.events)
+
+
+def _add_moving(group: Any) -> None:
+    drive = _verb(group, "drive", "drive by hand, through the safety gate; Ctrl-C stops", verbs.drive)
+    drive.add_argument("vx", type=_number, metavar="V", help="m/s forward")
+    drive.add_argument("wz", type=_number, metavar="W", help="rad/s counter-clockwise")
+    drive.add_argument("--for", dest="duration", type=_number, metavar="S", help="seconds; else until Ctrl-C")
+    _add_at(_verb(group, "goto", "go to a place; Ctrl-C stops", verbs.goto, "place?"))
+    dock = _verb(
+        group, "dock", "dock [NAME], or dock save NAME where the robot stands docked; Ctrl-C stops", verbs.dock
+    )
+    dock.add_argument("words", nargs="*", metavar="[save] NAME")
+    _verb(group, "stop", "cancel any job and halt", verbs.simple("stop", "stopping", lambda _: ""))
+
+
+def _add_teaching(group: Any) -> None:
+    record = _family(group, "record", "teach: drive round once while recording")
+    start = verbs.simple("record.start", "starting", lambda result: f"recording to {result['path']}", "map")
+    _verb(record, "start", "begin to record", start, "map")
+    _verb(record, "stop", "end the recording", verbs.simple("record.stop", "ending", verbs.recorded))
+    train = verbs.simple("train", "training", cli_output.map_facts, "map", job=True)
+    _verb(group, "train", "make a map of the newest recording", train, "map")
+
+
+def _add_maps(maps: Any) -> None:
+    _verb(maps, "list", "all maps", verbs.simple("map.list", "reading", cli_output.maps))
+    use = verbs.simple("map.use", "loading", lambda result: f"using {result['map']}, {result['nodes']} nodes", "map")
+    _verb(maps, "use", "load a map", use, "map")
+    _verb(maps, "info", "facts of a map", verbs.simple("map.info", "reading", cli_output.map_facts, "map"), "map?")
+    _verb(maps, "verify", "check a map's file", verbs.verify, "map?")
+    plot = _verb(maps, "plot", "draw a map", verbs.plot, "map?")
+    plot.add_argument("-o", dest="output", type=Path, metavar="FILE.png", help="default MAP.png")
+
+
+def _add_places(places: Any) -> None:
+    add = verbs.simple("place.add", "saving", verbs.saved, "name", "at")
+    _add_at(_verb(places, "add", "name a place: where the robot is, unless --at tells", add, "name"))
+    _verb(places, "list", "all places and docks", verbs.simple("place.list", "reading", cli_output.places))
+    _verb(places, "delete", "forget a place", verbs.simple("place.delete", "deleting", lambda _: "", "name"), "name")

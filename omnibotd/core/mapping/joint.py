@@ -1,0 +1,115 @@
+"""Headings and positions relaxed together: what a path looks like from above also says which way it was headed.
+
+Gauss-Newton on SE(2) over odometry, turns seen, revisits, and measured positions; from a start that is nearly right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import block_diag, coo_matrix, csr_matrix, diags, hstack, vstack
+
+from omnibotd.core.mapping.links import PathLinker
+from omnibotd.core.mapping.relaxation import Differences, Floats, relaxed
+
+# Odometry's standard deviations, fixed and per metre: along the step, and across it (wheels don't slip sideways).
+_ALONG, _ALONG_PER_METRE, _ACROSS, _ACROSS_PER_METRE = 0.003, 0.05, 0.002, 0.02
+# Regression errors repeat between neighbours: the least standard deviations (m, rad) a measurement is given.
+_SIGMA, _YAW_SIGMA = 0.03, 0.02
+# Links without an offset only hold what regression can't reach: loosen them.
+_REVISIT_LOOSENED = 3.0
+_STEPS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A node's `offset` (m) from the weighted mean of its neighbours (k,), and its `turn` from its present heading."""
+
+    node: int
+    near: NDArray[np.intp]
+    weights: Floats
+    offset: tuple[float, float]
+    turn: float
+
+
+def relax_together(poses: Floats, linker: PathLinker, measured: list[Measured]) -> Floats:
+    """(N, 3) poses; the first stays."""
+    for step in range(_STEPS):
+        correction = _correction(poses, linker, measured, turned=step > 0)
+        poses = poses + correction
+    return poses
+
+
+def _correction(poses: Floats, linker: PathLinker, measured: list[Measured], turned: bool) -> Floats:
+    nodes = len(poses)
+    odometry, odometry_values, odometry_sigma = _odometry(poses, linker.steps)
+    turns, revisits = linker.turns(nodes), linker.links.revisits()
+    mean = _relative_to_neighbours(measured, nodes)
+    turn_rows, revisit_rows = turns.rows(nodes), revisits.rows(nodes)
+    blank = csr_matrix
+    rows = vstack(
+        [
+            odometry,
+            hstack([block_diag([revisit_rows] * 2), blank((2 * len(revisits), nodes))]),
+            hstack([block_diag([mean] * 2), blank((2 * len(measured), nodes))]),
+            hstack([blank((len(turns), 2 * nodes)), turn_rows]),
+            hstack([blank((len(measured), 2 * nodes)), mean]),
+        ]
+    ).tocsr()
+    offsets = np.array([m.offset for m in measured]).reshape(-1, 2)
+    swing = turns.value - turn_rows @ poses[:, 2]
+    # The measured turns were taken from the headings of before: the first step has used them up.
+    turn = np.zeros(len(measured)) if turned else np.array([m.turn for m in measured])
+    values = np.concatenate(
+        [
+            odometry_values,
+            *(-(revisit_rows @ poses[:, axis]) for axis in (0, 1)),
+            *(offsets[:, axis] - mean @ poses[:, axis] for axis in (0, 1)),
+            np.arctan2(np.sin(swing), np.cos(swing)),
+            turn,
+        ]
+    )
+    sigma = np.concatenate(
+        [
+            odometry_sigma,
+            np.tile(_REVISIT_LOOSENED * revisits.sigma, 2),
+            np.full(2 * len(measured), _SIGMA),
+            turns.sigma,
+            np.full(len(measured), _YAW_SIGMA),
+        ]
+    )
+    held = (0, nodes, 2 * nodes)
+    result = relaxed(rows, values[:, None], sigma, len(odometry_values), held=held)[:, 0]
+    return result.reshape(3, nodes).T
+
+
+def _odometry(poses: Floats, steps: Floats) -> tuple[csr_matrix, Floats, Floats]:
+    """Rows (2 (N - 1), 3 N), values and sigmas: each step along and across the heading it started with."""
+    nodes = len(poses)
+    node = np.arange(nodes - 1)
+    unit = Differences(node, node + 1, np.zeros(nodes - 1), np.ones(nodes - 1)).rows(nodes)
+    start = csr_matrix((np.ones(nodes - 1), (node, node)), shape=(nodes - 1, nodes))
+    c, s = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
+    dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
+    along, across = c * dx + s * dy, -s * dx + c * dy
+    rows = vstack(
+        [
+            hstack([diags(c) @ unit, diags(s) @ unit, diags(across) @ start]),
+            hstack([diags(-s) @ unit, diags(c) @ unit, diags(-along) @ start]),
+        ]
+    )
+    length = np.hypot(steps[1:, 0], steps[1:, 1])
+    sigma = [_ALONG + _ALONG_PER_METRE * length, _ACROSS + _ACROSS_PER_METRE * length]
+    return rows.tocsr(), np.concatenate([steps[1:, 0] - along, steps[1:, 1] - across]), np.concatenate(sigma)
+
+
+def _relative_to_neighbours(measured: list[Measured], nodes: int) -> csr_matrix:
+    """One row a measurement: the node minus the weighted mean of its neighbours."""
+    if not measured:
+        return csr_matrix((0, nodes))
+    values = np.concatenate([np.concatenate([[1.0], -m.weights]) for m in measured])
+    columns = np.concatenate([np.concatenate([[m.node], m.near]) for m in measured])
+    index = np.repeat(np.arange(len(measured)), [1 + len(m.near) for m in measured])
+    return coo_matrix((values, (index, columns)), shape=(len(measured), nodes)).tocsr()

@@ -1,0 +1,179 @@
+"""The base under asyncio: a link that comes and goes, a driver that makes sense of its bytes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterable
+
+from firmware_bridge.events import BaseInfo, BridgeError, Connected, Disconnected, Driver, Event, Telemetry
+from omnibotd.io.serial_link import Link, LinkLost, SerialLink, open_serial, resolve_port
+
+__all__ = ["Link", "LinkLost", "MotorBase", "SerialLink", "open_serial", "resolve_port"]
+
+POLL_PERIOD = 0.02  # seconds: what drivers ask for
+FIRST_BACKOFF = 0.2  # seconds; doubled at each failure, so that a base unplugged for hours costs nothing
+LAST_BACKOFF = 5.0
+# A board reset by the opening of its port boots for 2 s. Beyond this only opening anew can help: a half-open
+# TCP connection, an adapter that hangs.
+HANDSHAKE_LIMIT = 10.0
+NO_ANSWER = f"no answer in {HANDSHAKE_LIMIT:.0f} s: check base.port, base.driver and the cable"
+SETTLE_LIMIT = 2.0  # seconds; every driver notices silence well before
+EVENT_LIMIT = 200  # 2-4 s of telemetry at 50-100 Hz: a control tick later than that is beyond odometry's help
+
+
+class MotorBase:
+    """Keeps one base connected as long as `run` runs; everything else here is immediate and never waits.
+
+    A set-point is sent once, when `drive` is called: the caller's own tick keeps the base moving, its absence
+    stops it. `open_link` raises LinkLost when it can't. The loop's clock is the only clock.
+    """
+
+    def __init__(self, driver: Driver, open_link: Callable[[], Awaitable[Link]]) -> None:
+        self._driver = driver
+        self._open_link = open_link
+        self._link: Link | None = None
+        self._shaken = False  # the driver holds the base for connected
+        self._answered_at = 0.0
+        self._backoff = FIRST_BACKOFF
+        self._events: deque[Event] = deque()
+        self._info: BaseInfo | None = None
+        self._latest: Telemetry | None = None
+        self._reason = "not started"
+
+    @property
+    def info(self) -> BaseInfo | None:
+        """What the base said of itself; None while not connected."""
+        return self._info
+
+    @property
+    def connected(self) -> bool:
+        return self._info is not None
+
+    @property
+    def latest(self) -> Telemetry | None:
+        """The newest state; None while not connected."""
+        return self._latest
+
+    @property
+    def reason(self) -> str:
+        """Why not connected; empty while connected."""
+        return self._reason
+
+    async def run(self) -> None:
+        """Connect and reconnect until cancelled; whatever ends it, a zero set-point goes out first."""
+        try:
+            while True:
+                try:
+                    await self._settle()
+                    link = await self._open_link()
+                    await self._serve(link)
+                except LinkLost as lost:
+                    self._disconnect(str(lost))
+                await asyncio.sleep(self._backoff)
+                self._backoff = min(2.0 * self._backoff, LAST_BACKOFF)
+        finally:
+            self._disconnect("stopped")
+
+    def drive(self, left: float, right: float) -> None:
+        """Wheel speeds, rad/s; ignored while not connected."""
+        self._driver.drive(left, right, _now())
+        self._flush()
+
+    def stop(self) -> None:
+        """A zero set-point."""
+        self.drive(0.0, 0.0)
+
+    def emergency_stop(self) -> None:
+        """Stop and stay stopped until `release`, also across a restart of the base."""
+        self._driver.emergency_stop(_now())
+        self._flush()
+
+    def release(self) -> None:
+        """End an emergency stop."""
+        self._driver.release(_now())
+        self._flush()
+
+    def drain(self) -> list[Event]:
+        """What happened since the last call, oldest first; beyond EVENT_LIMIT old telemetry is missing."""
+        happened = list(self._events)
+        self._events.clear()
+        return happened
+
+    async def _settle(self) -> None:
+        """Wait until the driver, too, knows that the link was gone: what it knew of the base is void."""
+        deadline = _now() + SETTLE_LIMIT
+        while self._shaken:
+            if _now() > deadline:
+                raise BridgeError(f"{type(self._driver).__name__} did not notice {SETTLE_LIMIT} s of silence")
+            if any(isinstance(event, Disconnected) for event in self._driver.poll(_now())):
+                self._shaken = False
+            self._driver.data_to_send()
+            await asyncio.sleep(POLL_PERIOD)
+
+    async def _serve(self, link: Link) -> None:
+        """Move bytes until the link is lost."""
+        self._link = link
+        self._disconnect("waiting for the base to answer")
+        reading = asyncio.create_task(self._read(link))
+        self._answered_at = _now()
+        try:
+            while not reading.done():
+                self._take(self._driver.poll(_now()))
+                self._flush()
+                if _now() - self._answered_at > HANDSHAKE_LIMIT:
+                    raise LinkLost(NO_ANSWER)
+                await asyncio.wait({reading}, timeout=POLL_PERIOD)
+            await reading
+        finally:
+            self.stop()
+            self._link = None
+            link.close()
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)
+
+    async def _read(self, link: Link) -> None:
+        while True:
+            data = await link.read()
+            self._take(self._driver.receive(data, _now()))
+            self._flush()
+
+    def _flush(self) -> None:
+        data = self._driver.data_to_send()
+        if data and self._link is not None:
+            self._link.write(data)
+
+    def _take(self, happened: Iterable[Event]) -> None:
+        for event in happened:
+            self._answered_at = _now()
+            match event:
+                case Connected(info):
+                    self._info = info
+                    self._reason = ""
+                    self._shaken = True
+                    self._backoff = FIRST_BACKOFF
+                    self._keep(event)
+                case Disconnected(reason):
+                    self._shaken = False
+                    self._disconnect(reason)
+                case Telemetry():
+                    self._latest = event
+                    self._keep(event)
+
+    def _disconnect(self, reason: str) -> None:
+        self._info = None
+        self._latest = None
+        if reason != self._reason:
+            self._reason = reason
+            self._keep(Disconnected(reason))
+
+    def _keep(self, event: Event) -> None:
+        if len(self._events) == EVENT_LIMIT:
+            # Telemetry is superseded by the next; a Connected lost would leave odometry on the old origin.
+            oldest = next((i for i, kept in enumerate(self._events) if isinstance(kept, Telemetry)), 0)
+            del self._events[oldest]
+        self._events.append(event)
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()

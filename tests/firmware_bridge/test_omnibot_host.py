@@ -1,0 +1,56 @@
+"""The native driver alone, fed by hand."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from firmware_bridge import messages
+from firmware_bridge.bases import make_driver
+from firmware_bridge.bases.omnibot import OmnibotHost
+from firmware_bridge.device import OmnibotDevice
+from firmware_bridge.events import BridgeError, Disconnected, Telemetry
+from firmware_bridge.messages import Hello
+
+
+def report(nonce: int, left: int, right: int, faults: int = 0) -> bytes:
+    """Telemetry by hand, layout as in PROTOCOL.md."""
+    payload = struct.pack("<IIiihhBHHBHH", nonce, 0, left, right, 0, 0, 0, faults, 11500, 0, 0, 0)
+    return messages.encode(0x83, 0, payload)
+
+
+def test_encoder_counts_unwrap() -> None:
+    host, nonce = OmnibotHost(), 9
+    device = OmnibotDevice(1000.0, nonce)
+    device.receive(messages.to_bytes(Hello(), 1), 0.0)
+    host.receive(device.data_to_send(), 0.0)
+    counts = []
+    for left, right in ((2**31 - 10, -(2**31) + 5), (-(2**31) + 10, 2**31 - 5), (2**31 - 10, -(2**31) + 5)):
+        (event,) = host.receive(report(nonce, left, right), 0.1)
+        assert isinstance(event, Telemetry)
+        counts.append((event.left_ticks, event.right_ticks))
+    assert counts == [(0, 0), (20, -10), (0, 0)]
+
+
+def test_fault_bits_have_names_even_new_ones() -> None:
+    host, device = OmnibotHost(), OmnibotDevice(1000.0, 9)
+    device.receive(messages.to_bytes(Hello(), 1), 0.0)
+    host.receive(device.data_to_send(), 0.0)
+    (event,) = host.receive(report(9, 0, 0, faults=0b1000010010), 0.1)
+    assert isinstance(event, Telemetry)
+    assert event.faults == {"motor_right", "battery_low", "bit_9"}
+
+
+def test_other_version_is_refused_with_a_reason() -> None:
+    host = OmnibotHost()
+    (event,) = host.receive(bytes.fromhex("07 81 06 02 2a a6 7e 00"), 0.0)
+    assert isinstance(event, Disconnected) and "protocol 2" in event.reason
+    host.drive(1.0, 1.0, 0.0)
+    assert host.data_to_send() == b""
+
+
+def test_drivers_by_name() -> None:
+    assert isinstance(make_driver("omnibot"), OmnibotHost)
+    with pytest.raises(BridgeError, match=r"'segway'; known: .*omnibot"):
+        make_driver("segway")

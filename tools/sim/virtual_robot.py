@@ -1,0 +1,279 @@
+"""A simulated robot and the whole daemon that drives it, in one process and in virtual time.
+
+What stands in for hardware is the far side of two adapters: bytes of the base's protocol, and camera frames.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import bisect
+import math
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from firmware_bridge.bases import make_driver
+from firmware_bridge.device import OmnibotDevice
+from omnibotd.config import load
+from omnibotd.core.geometry import Pose2D, Twist2D
+from omnibotd.core.mapping.topo_map import TopoMap
+from omnibotd.core.vision.camera_model import CameraModel
+from omnibotd.core.vision.frame import Frame
+from omnibotd.daemon import Adapters, Daemon
+from omnibotd.io.map_store import MapStore
+from omnibotd.io.motor_base import MotorBase
+from omnibotd.io.recorder import Recorder
+from omnibotd.io.systemd_notify import Notifier
+from omnibotd.training_process import train_and_save
+from tools.sim.plant import ROBOT_RADIUS, SimulatedRobot
+from tools.sim.world_plugin import World, WorldError
+
+FRAME_PERIOD = 0.1  # s; what the control tick can use
+EXPOSURE_TO_ARRIVAL = 0.03  # s; a webcam's MJPEG frame over USB 2, and the daemon stamps arrivals
+JPEG_QUALITY = 90
+STEP = 0.01  # s of the robot's body: half the period of the base's telemetry
+READY_LIMIT = 10.0  # s until base and camera must have answered
+LINE_BUFFER = 4096  # bytes, as a pty holds; nobody reads while the daemon reconnects
+RECORDS_WAITING = 32  # enough to keep the recorder's thread busy, too few to make it drop a frame
+TRUTH_LIMIT = 40_000  # frames whose true pose is remembered: an hour, longer than anybody teaches
+
+
+class MemoryLink:
+    """A serial line to a device role in the same process; `cut` loses all bytes both ways."""
+
+    def __init__(self, device: OmnibotDevice) -> None:
+        self._device = device
+        self._arrived = bytearray()
+        self._news = asyncio.Event()
+        self.cut = False
+
+    async def read(self) -> bytes:
+        await self._news.wait()
+        data = bytes(self._arrived)
+        self._arrived.clear()
+        self._news.clear()
+        return data
+
+    def write(self, data: bytes) -> None:
+        if not self.cut:
+            self._device.receive(data, asyncio.get_running_loop().time())
+
+    def close(self) -> None:
+        """Nothing to let go of: the device lives on."""
+
+    def deliver(self, data: bytes) -> None:
+        if data and not self.cut:
+            self._arrived += data
+            del self._arrived[:-LINE_BUFFER]
+            self._news.set()
+
+
+class MemoryCamera:
+    """Offers what `omnibotd.io.camera.Camera` offers; pictures are taken by `expose(now)` when due."""
+
+    rate_hz = 1.0 / FRAME_PERIOD
+    reason = ""
+
+    def __init__(self, expose: Callable[[float], bytes], size: tuple[int, int]) -> None:
+        self._expose = expose
+        self.size = size
+        self.latest: Frame | None = None
+        self._news = asyncio.Event()
+
+    def age(self, now: float) -> float:
+        return math.inf if self.latest is None else now - self.latest.stamp
+
+    def ok(self, now: float) -> bool:
+        return self.age(now) < 1.0
+
+    async def wait_newer(self, stamp: float) -> Frame:
+        while self.latest is None or self.latest.stamp <= stamp:
+            self._news.clear()
+            await self._news.wait()
+        return self.latest
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            data = self._expose(loop.time())
+            await asyncio.sleep(EXPOSURE_TO_ARRIVAL)
+            self.latest = Frame(loop.time(), data)
+            self._news.set()
+            await asyncio.sleep(FRAME_PERIOD - EXPOSURE_TO_ARRIVAL)
+
+
+class PatientRecorder(Recorder):
+    """Waits for its own thread where the real one would drop frames: virtual seconds are shorter than the disk's."""
+
+    def _put(self, record: Any) -> bool:
+        while self._waiting.qsize() >= RECORDS_WAITING and self.error is None:
+            time.sleep(0.001)
+        return super()._put(record)
+
+
+class VirtualRobot:
+    """A robot in a world, and the daemon that drives it; make it inside `virtual_robot`."""
+
+    def __init__(self, world: World, seed: int, start: Pose2D, directory: Path) -> None:
+        self.world = world
+        with _room_for_robot():
+            self.plant = SimulatedRobot(world, (start.x, start.y, start.yaw), seed)
+        body = self.plant.body
+        self.device = OmnibotDevice(body.ticks_per_rev, boot_nonce=seed % 2**32)
+        self.link = MemoryLink(self.device)
+        self.frames = 0
+        self.seconds = 0.0  # lived
+        self._truth: deque[tuple[float, Pose2D]] = deque(maxlen=TRUTH_LIMIT)
+        self._ticks = [0, 0]
+        config = load(_write_config(world, self.plant, directory))
+        height, width = world.render(*self.plant.pose, 0.0).shape[:2]
+        self.camera = MemoryCamera(self._photograph, (width, height))
+        self.store = MapStore(config.storage.directory)
+        base = MotorBase(make_driver(config.base.driver), self._open_link)
+        adapters = Adapters(self.camera, base, self.store, Notifier(), _in_place, _train_in_place, PatientRecorder)
+        self.daemon = Daemon(config, adapters)
+
+    @property
+    def pose(self) -> Pose2D:
+        """Where the robot truly is."""
+        return Pose2D(*self.plant.pose)
+
+    def teleport(self, pose: Pose2D) -> None:
+        """Carry the robot; neither wheels nor daemon are told. WorldError where it doesn't fit."""
+        with _room_for_robot():
+            self.plant.teleport((pose.x, pose.y, pose.yaw))
+
+    def true_pose_at(self, stamp: float) -> Pose2D:
+        """Where the frame with this stamp was taken."""
+        after = bisect.bisect_left(self._truth, stamp - FRAME_PERIOD / 2.0, key=lambda entry: entry[0])
+        return self._truth[min(after, len(self._truth) - 1)][1]
+
+    async def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """A request as from the control socket. Raises RpcError."""
+        return await self.daemon.call(method, params)
+
+    async def drive(self, twist: Twist2D) -> None:
+        await self.call("drive", vx=twist.vx, wz=twist.wz)
+
+    async def live(self) -> None:
+        """The robot's body, for ever: wheels, senses, and bytes from the base."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(STEP)
+            self.seconds += STEP
+            left, right = self.plant.step(STEP, *self.device.target)
+            self._ticks[0] += left
+            self._ticks[1] += right
+            self.device.poll(loop.time())
+            self._sense()
+            self.link.deliver(self.device.data_to_send())
+
+    async def ready(self) -> None:
+        """Wait until the daemon has its base and its camera's lens. Raises TimeoutError with the reasons."""
+        loop = asyncio.get_running_loop()
+        end = loop.time() + READY_LIMIT
+        while True:
+            status = await self.call("status")
+            if status["base"]["connected"] and self.daemon.perception.model is not None:
+                return
+            if loop.time() > end:
+                raise TimeoutError(f"not ready: base {status['base']}, camera {status['camera']}")
+            await asyncio.sleep(0.1)
+
+    def _sense(self) -> None:
+        left, right = self.plant.bumpers
+        self.device.set_state(*self._ticks, bumper_left=left, bumper_right=right, charging=self.plant.at_dock())
+
+    def _photograph(self, now: float) -> bytes:
+        self.frames += 1
+        self._truth.append((now + EXPOSURE_TO_ARRIVAL, self.pose))
+        image = self.world.render(*self.plant.pose, now)
+        return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes())
+
+    async def _open_link(self) -> MemoryLink:
+        return self.link
+
+
+@asynccontextmanager
+async def virtual_robot(world: World, seed: int, start: Pose2D | None = None) -> AsyncIterator[VirtualRobot]:
+    """A robot that lives, daemon and all, inside this block; it stands at `start`, default somewhere free.
+
+    Raises what ended the daemon or the body, should one of them fail.
+    """
+    with TemporaryDirectory(prefix="omnibot-") as directory, _unwrapped():
+        robot = VirtualRobot(world, seed, start or somewhere(world), Path(directory))
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(robot.live()), group.create_task(robot.daemon.run())]
+            await robot.ready()
+            yield robot
+            for task in tasks:
+                task.cancel()
+
+
+def somewhere(world: World) -> Pose2D:
+    """The free spot nearest to the middle of the world, to 10 cm. Raises WorldError where there is none."""
+    xmin, ymin, xmax, ymax = world.bounds
+    grid = np.stack(np.meshgrid(np.arange(xmin, xmax, 0.1), np.arange(ymin, ymax, 0.1)), -1).reshape(-1, 2)
+    away = np.hypot(*(grid - [(xmin + xmax) / 2.0, (ymin + ymax) / 2.0]).T)
+    for x, y in grid[np.argsort(away, kind="stable")]:
+        if world.free(float(x), float(y), ROBOT_RADIUS):
+            return Pose2D(float(x), float(y))
+    raise WorldError(f"no free spot for a robot of radius {ROBOT_RADIUS} m in {world.bounds}")
+
+
+@contextmanager
+def _room_for_robot() -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise WorldError(str(error)) from error
+
+
+@contextmanager
+def _unwrapped() -> Iterator[None]:
+    """Of groups of one exception, the exception."""
+    try:
+        yield
+    except BaseExceptionGroup as group:
+        error: BaseException = group
+        while isinstance(error, BaseExceptionGroup) and len(error.exceptions) == 1:
+            error = error.exceptions[0]
+        raise error from None
+
+
+async def _in_place(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
+
+
+async def _train_in_place(
+    recording: Path, name: str, store: MapStore, model: CameraModel, progress: Callable[[str, float], None]
+) -> TopoMap:
+    return train_and_save(recording, name, store, model, progress)
+
+
+def _write_config(world: World, plant: SimulatedRobot, directory: Path) -> Path:
+    """A configuration file as a user would write it for this robot."""
+    camera: dict[str, Any] = {"source": "http://simulated/", "fov_deg": float(world.fov_deg)}
+    info = getattr(world, "camera_info", None)
+    if isinstance(info, Mapping):
+        camera["calibration"] = "camera.yaml"
+        (directory / "camera.yaml").write_text(yaml.safe_dump(dict(info)), "utf-8")
+    base = {
+        "driver": "omnibot",
+        "port": "/dev/simulated",
+        "wheel_radius": plant.body.wheel_radius,
+        "wheel_separation": plant.body.wheel_separation,
+        "robot_radius": ROBOT_RADIUS,
+    }
+    config = {"camera": camera, "base": base, "storage": {"directory": "storage"}}
+    path = directory / "omnibotd.yaml"
+    path.write_text(yaml.safe_dump(config), "utf-8")
+    return path
