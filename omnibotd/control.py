@@ -54,6 +54,7 @@ class Teleop:
 
     twist: Twist2D
     until: float
+    hand: object = None  # whose it is: the client's session
 
 
 class ControlLoop:
@@ -79,6 +80,7 @@ class ControlLoop:
         self.homing_request: HomingRequest | None = None
         self.running: Running | None = None
         self.teleop: Teleop | None = None
+        self._base_lost = False  # since the last tick: a base that restarted is back before anybody looks
         self.recorder: Recorder | None = None
         self.twist = STOP
         self.moved_at = -math.inf
@@ -141,6 +143,7 @@ class ControlLoop:
                     log.info("base connected: %s %s, firmware %s", info.driver, info.board, info.firmware)
                     self.events({"event": "base_connected", "driver": info.driver, "board": info.board})
                 case Disconnected(reason):
+                    self._base_lost = True
                     log.warning("base disconnected: %s", reason)
                     self.events({"event": "base_disconnected", "reason": reason})
 
@@ -181,6 +184,7 @@ class ControlLoop:
         wanted = self._decide(seen)
         self._apply(self._gate.limit(wanted, seen, PERIOD))
         self._fresh_place = self._homing = None
+        self._base_lost = False
         self._record(now)
 
     def _observe(self, now: float) -> Observation:
@@ -194,7 +198,7 @@ class ControlLoop:
             odom_from_base=odom,
             place=self._fresh_place,
             homing=self._homing,
-            base_ok=latest is not None,
+            base_ok=latest is not None and not self._base_lost,
             camera_ok=self._camera.ok(now),
             bumper_left=latest is not None and latest.bumper_left,
             bumper_right=latest is not None and latest.bumper_right,

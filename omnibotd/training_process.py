@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +28,19 @@ Progress = Callable[[str, float], None]
 
 
 def train_and_save(recording: Path, name: str, store: MapStore, model: CameraModel, progress: Progress) -> TopoMap:
-    """Make a map from a recording and save it; named places and docks of a map of the same recording are kept.
+    """Make a map from a recording and save it. Raises TrainingError, RecordingError, MapStoreError.
 
-    Raises TrainingError, RecordingError, MapStoreError.
+    A map of the same recording hands on its places and docks; one of another recording stays, as NAME-1, NAME-2 ...
     """
     fresh = train(name, teaching_samples(recording), model, progress=progress)
     fresh = replace(fresh, recording=recording.name)
-    if any(entry.name == name and entry.bytes for entry in store.list()):
+    names = {entry.name for entry in store.list() if entry.bytes}
+    if name in names:
         old = store.load(name)
         if old.recording == fresh.recording:
             fresh = replace(fresh, places=old.places, docks=old.docks)
+        else:
+            store.save(replace(old, name=next(n for k in count(1) if (n := f"{name}-{k}") not in names)))
     store.save(fresh)
     return fresh
 

@@ -104,8 +104,8 @@ def run(data: Path) -> Report:
     with tempfile.TemporaryDirectory() as folder:
         frames, camera = _replayed(data, Path(folder))
     reference = np.loadtxt(data / "golden.txt")[: len(frames)] * (CEILING, CEILING, 1.0)
-    # The authors' plane is seen from below: its y axis, and with it the heading, has the other sign.
-    reference[:, 1:] *= -1.0
+    # The tracker's heading grows clockwise in its own u, v plane.
+    reference[:, 2] *= -1.0
     path = _registered_path(frames, camera)
     tracked, found = _place_odd_frames(frames, camera, path, reference)
     heading = reference[:, 2] - reference[0, 2]

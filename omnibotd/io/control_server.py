@@ -147,6 +147,9 @@ class ControlServer:
                 session.send(protocol.encode_error(None, protocol.REFUSED, reason, ErrorName.BUSY))
                 return
             await self._attend(session, reader, writer)
+        except asyncio.CancelledError:
+            # Only `close` cancels a client's task. Python 3.11's streams log a task that ends as cancelled for a bug.
+            log.debug("%s hung up on", session)
         finally:
             writer.close()
 

@@ -28,7 +28,7 @@ class Requests:
 
     def __init__(self, robot: Robot, trainer: Trainer, open_recorder: Callable[[Path], Recorder]) -> None:
         self.teaching = Teaching(robot, trainer, open_recorder)
-        groups = (Status(robot, self.teaching), self.teaching, Maps(robot), Jobs(robot))
+        groups = (Status(robot, self.teaching), self.teaching, Maps(robot), Jobs(robot, self.teaching))
         self._tasks: set[asyncio.Task[dict[str, Any]]] = set()
         self._methods = {name: method for group in groups for name, method in group.methods().items()}
 

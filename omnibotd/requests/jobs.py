@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+from functools import partial
 from typing import Any
 
 from omnibotd.control import PERIOD, Feedback, Running, Teleop
@@ -18,6 +19,7 @@ from omnibotd.core.navigation.navigator import Navigator, Tolerance
 from omnibotd.io.control_server import Session
 from omnibotd.requests.params import Params, invalid, pose_values
 from omnibotd.requests.robot import Method, Robot
+from omnibotd.requests.teaching import Teaching
 
 log = logging.getLogger(__name__)
 
@@ -25,8 +27,8 @@ log = logging.getLogger(__name__)
 class Jobs:
     """One job at a time; each request is answered when its job has ended."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, robot: Robot, teaching: Teaching) -> None:
+        self._robot, self._teaching = robot, teaching
 
     def methods(self) -> dict[str, Method]:
         return {
@@ -46,25 +48,27 @@ class Jobs:
         self._robot.refuse_if_unsafe()
         if not 0.0 < duration <= 3600.0:
             raise invalid(f"for: {duration} given, expected seconds above 0 and up to 3600")
-        teleop = Teleop(twist, self._robot.now() + duration)
+        teleop = Teleop(twist, self._robot.now() + duration, session)
         self._robot.control.teleop = teleop
         if session is not None:
-            session.on_close(self._let_go)
+            session.on_close(partial(self._let_go, session))
         if lasting:
             await asyncio.sleep(duration)
             if self._robot.control.teleop is not None and self._robot.control.teleop is not teleop:
                 raise RpcError.named(ErrorName.CANCELLED, "another drive command took over")
         return {}
 
-    def _let_go(self) -> None:
+    def _let_go(self, session: Session) -> None:
         """The client that drove went away: stop now, not at the time-out."""
-        if self._robot.control.teleop is not None:
+        teleop = self._robot.control.teleop
+        if teleop is not None and teleop.hand is session:
             log.warning("the driving client went away; stopping")
             self._robot.control.halt("the driving client went away")
 
     async def _stop(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         params.end()
         self._robot.control.halt("stopped on request")
+        self._teaching.cancel_training()
         return {}
 
     async def _goto(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:

@@ -46,6 +46,7 @@ class Teaching:
         self._robot, self._trainer, self._open_recorder = robot, trainer, open_recorder
         self._recording: Recording | None = None
         self.training: str | None = None
+        self._trainer_task: asyncio.Future[TopoMap] | None = None
 
     def methods(self) -> dict[str, Method]:
         return {
@@ -79,7 +80,8 @@ class Teaching:
         return await self._end(self._recording)
 
     async def close(self) -> None:
-        """Ends a running recording whole, as the daemon stops."""
+        """Ends a running recording whole and a training, as the daemon stops."""
+        self.cancel_training()
         if self._recording is not None:
             await self._end(self._recording)
 
@@ -132,26 +134,38 @@ class Teaching:
         if self._recording is not None and self._recording.name == name:
             raise RpcError.named(ErrorName.BUSY, f"{name!r} is still being recorded; say record stop first")
         recording = self._robot.store.recording_path(name)
-        self.training, began = name, self._robot.now()
+        began = self._robot.now()
+        topo_map = await self._trained(name, recording, model, feedback)
+        warnings = _map_warnings(topo_map)
+        active = self._robot.perception.topo_map
+        if self._robot.control.running is not None:
+            warnings.append(f"not in use yet, a job is running: say map use {name} when it has ended")
+        elif active is None or active.name == name:
+            await self._robot.use(topo_map)
+        seconds = round(self._robot.now() - began, 1)
+        return {**summary(self._robot.store, topo_map), "seconds": seconds, "warnings": warnings}
+
+    async def _trained(self, name: str, recording: Path, model: CameraModel, feedback: Feedback) -> TopoMap:
+        def progress(stage: str, share: float) -> None:
+            feedback({"stage": stage, "progress": share})
+
+        self.training = name
+        self._trainer_task = asyncio.ensure_future(self._trainer(recording, name, self._robot.store, model, progress))
         try:
-            topo_map = await self._trainer(
-                recording,
-                name,
-                self._robot.store,
-                model,
-                lambda stage, share: feedback({"stage": stage, "progress": share}),
-            )
+            return await self._trainer_task
+        except asyncio.CancelledError:
+            raise RpcError.named(
+                ErrorName.CANCELLED, f"training of {name!r} was stopped; its recording is kept"
+            ) from None
         except (CoreError, RecordingError) as error:
             raise RpcError.named(ErrorName.TRAINING_FAILED, str(error)) from error
         finally:
-            self.training = None
-        if self._robot.perception.topo_map is None or self._robot.perception.topo_map.name == name:
-            await self._robot.use(topo_map)
-        return {
-            **summary(self._robot.store, topo_map),
-            "seconds": round(self._robot.now() - began, 1),
-            "warnings": _map_warnings(topo_map),
-        }
+            self.training, self._trainer_task = None, None
+
+    def cancel_training(self) -> None:
+        """End a running training; what was recorded and trained before stays."""
+        if self._trainer_task is not None:
+            self._trainer_task.cancel()
 
 
 def _recording_warnings(status: dict[str, Any]) -> list[str]:

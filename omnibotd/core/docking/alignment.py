@@ -1,4 +1,4 @@
-"""Fine alignment of two views: Gauss-Newton with averaged gradients (ESM) on rotation, shift and scale, Huber weights."""
+"""Fine alignment of two views: Gauss-Newton with averaged gradients (ESM) and Huber weights."""
 
 from __future__ import annotations
 
@@ -140,10 +140,11 @@ class AlignmentTarget:
 
 @dataclass(frozen=True, slots=True)
 class _OverWall:
-    """Gradients in the target's coordinates, how much nearer each pixel is than the ceiling, and the wall's own gradient.
+    """Gradients in the target's coordinates, how much nearer than the ceiling each pixel is, the wall's gradient.
 
-    Over the wall the map's derivative is L + (u, v) wall^T instead of L = exp(log_scale) R(angle); with t = L^-1 (u, v),
-    g - wall (t.g) / (1 + wall.t) undoes the difference (Sherman-Morrison), and moving `wall` changes the view by t.g.
+    Over the wall the map's derivative is L + (u, v) wall^T instead of L = exp(log_scale) R(angle). With t = L^-1 (u, v)
+    and along = t.g / (1 + wall.t), g - wall along undoes the difference (Sherman-Morrison); moving `wall` by d changes
+    the view at q by along (d.q).
     """
 
     gu: FloatImage
@@ -162,7 +163,8 @@ class _OverWall:
         # 1 + wall.t is the distance left to the wall over that of the dock: never near 0 in front of it.
         along = np.where(near > 1.0, (tu * gu + tv * gv) / max(np.float32(0.2), 1.0 + wu * tu + wv * tv), 0.0)
         along = along.astype(np.float32, copy=False)
-        return cls(gu - wu * along, gv - wv * along, np.maximum(near, np.float32(1.0)), along)
+        bent_u, bent_v = (np.asarray(g - w * along, np.float32) for g, w in ((gu, wu), (gv, wv)))
+        return cls(bent_u, bent_v, np.maximum(near, np.float32(1.0)), along)
 
 
 def _solve(jacobian: FloatImage, weight: FloatImage, residual: FloatImage) -> Floats:

@@ -9,7 +9,7 @@ from omnibotd.core.geometry import Pose2D, wrap
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Frame
 
-# Metres driven between the two frames: less is drowned in odometry noise, more shares too little ceiling when it is low.
+# Metres driven between the two frames: less drowns in odometry noise, more shares too little of a low ceiling.
 _SHORTEST, _LONGEST = 0.2, 0.6
 # Metres above the camera; a home has 2, a hall 6.
 _LOWEST, _HIGHEST = 0.8, 10.0

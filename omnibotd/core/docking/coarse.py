@@ -1,4 +1,4 @@
-"""From nothing to within a few pixels: rotation and shift hypotheses on a wide view, a small alignment each, best wins."""
+"""From nothing to within a few pixels: hypotheses on a wide view, a small alignment each, the best wins."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class CoarseFix:
-    """yaw and position (in ceiling heights, view axes u, v) of the current camera in the target view; lead over the next."""
+    """yaw and position (ceiling heights, view axes u, v) of the camera in the target view; lead over the next."""
 
     yaw: float
     u: float
@@ -123,7 +123,7 @@ class CoarseRegistration:
         self._shifts = ShiftSearch(self._view.coarse, reach * self._focal)
 
     def fix(self, frame: Frame, wall: tuple[float, float] = NO_WALL) -> CoarseFix:
-        """`wall`: towards the wall the target stands at, 1 / its distance in ceiling heights; NO_WALL if none is known."""
+        """`wall`: towards the wall the target stands at, 1 / its distance in ceiling heights; or NO_WALL."""
         view = self._optics.view(frame)
         tried = [self._aligned(view, candidate, _TRY) for candidate in self._candidates(view, wall)]
         tried.sort(key=lambda candidate: -candidate.total)

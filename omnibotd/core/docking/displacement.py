@@ -1,4 +1,4 @@
-"""How the view from the dock maps to the view from elsewhere: a similarity for the ceiling, more shift for a near wall."""
+"""How the view from the dock maps to that from elsewhere: a similarity for the ceiling, more shift for a near wall."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _MAX_LOG_SCALE = 0.12
 class Displacement:
     """Takes a pixel q of the target view to the current view, both from the centre.
 
-    q -> exp(log_scale) R(angle) q + max(1, wall . q) (u, v). The ceiling moves as a plane does. A dock stands at a wall,
-    which fills up to half of its view: what is seen of the wall at q is nearer than the ceiling by wall . q, and shifts
-    by that much more. `wall` points to the wall and is 1 / its distance; (0, 0) where there is none near.
+    q -> exp(log_scale) R(angle) q + max(1, wall . q) (u, v). The ceiling moves as a plane does. A dock stands at a
+    wall, which fills up to half of its view: what is seen of it at q is nearer than the ceiling by the factor wall . q,
+    and shifts by that much more. `wall` points to the wall and is 1 / its distance; NO_WALL where there is none near.
     """
 
     angle: float

@@ -38,7 +38,8 @@ class Lookup:
 class Rectification(Lookup):
     """size x size view of the ceiling plane over `fov` radians: column grows to the robot's left, row to its back.
 
-    A point of the ceiling at (x, y) times its height stands at column c + focal * y, row c - focal * x, c = (size - 1) / 2.
+    A point of the ceiling at (x, y) times its height stands at column c + focal * y, row c - focal * x, where
+    c = (size - 1) / 2.
     """
 
     def __init__(self, camera: CameraModel, size: int, fov: float) -> None:
@@ -50,7 +51,7 @@ class Rectification(Lookup):
 
 
 def rim_rays(zeniths: NDArray[np.float64], bearings: int) -> NDArray[np.float64]:
-    """Rays (len(zeniths), bearings, 3) of circles about the vertical; the angle turns as in a rectified view (column, row)."""
+    """Rays (len(zeniths), bearings, 3) of circles about the vertical; the angle turns from column to row of a view."""
     angle = np.arange(bearings) * (2.0 * math.pi / bearings)
     angle, zenith = np.meshgrid(angle, zeniths)
     across = np.sin(zenith)

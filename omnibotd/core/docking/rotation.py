@@ -1,7 +1,7 @@
 """How far one view is turned against another: several hypotheses from three cues, each blind where another sees.
 
-A soft histogram of edge directions (thesis §7.2.1, equation 7.1, made soft), the brightness profile of the rim, where the
-walls are, and the amplitude spectrum (Fourier-Mellin), which ignores shifts but not half turns.
+A soft histogram of edge directions (thesis §7.2.1, equation 7.1), the brightness profile of the rim, where the walls
+are, and the amplitude spectrum (Fourier-Mellin), which ignores shifts and can't tell half turns.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class RotationHypothesis:
 
 @dataclass(frozen=True)
 class RotationSignature:
-    """Fourier transforms, along the angle, of the three cues of one view; `rim` is None for a lens that sees no wall."""
+    """Fourier transforms, along the angle, of the three cues; `rim` is None for a lens that sees no wall."""
 
     edges: Spectrum
     rim: Spectrum | None
@@ -73,7 +73,7 @@ class RotationCues:
         self._polar_v = (centre + ring * np.sin(angle)).astype(np.float32)
 
     def signature(self, view: Image, feature: FloatImage, mask: Image, rim: Image | None) -> RotationSignature:
-        """`view` and its `feature` (size, size) with `mask` 255 where seen; `rim` (rings, 360) grey levels along circles."""
+        """`view`, its `feature` and `mask` (255 where seen) are (size, size); `rim` (rings, 360) grey along circles."""
         rim_spectrum = None if rim is None else self._rim(rim)
         return RotationSignature(self._edges(view, mask), rim_spectrum, self._spectrum(feature))
 

@@ -1,4 +1,4 @@
-"""Which homing estimates count: answers to the question asked now, each once, and where it matters those taken at rest."""
+"""Which homing estimates count: answers to the question asked now, each once, and those taken at rest."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _PEAK_RADIUS = 2
 
 @dataclass(frozen=True, slots=True)
 class ShiftHypothesis:
-    """Position (pixels of the target view) of the current view's axis; `peak` in standard deviations of the correlation."""
+    """Position (target pixels) of the current view's axis; `peak` in standard deviations of the correlation."""
 
     u: float
     v: float

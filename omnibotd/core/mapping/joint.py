@@ -20,7 +20,7 @@ _ALONG, _ALONG_PER_METRE, _ACROSS, _ACROSS_PER_METRE = 0.003, 0.05, 0.002, 0.02
 _SIGMA, _YAW_SIGMA = 0.03, 0.02
 # Links without an offset only hold what regression can't reach: loosen them.
 _REVISIT_LOOSENED = 3.0
-_STEPS = 2
+_STEPS, _ROUNDS = 2, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def _correction(poses: Floats, linker: PathLinker, measured: list[Measured], tur
         ]
     )
     held = (0, nodes, 2 * nodes)
-    result = relaxed(rows, values[:, None], sigma, len(odometry_values), held=held)[:, 0]
+    result = relaxed(rows, values[:, None], sigma, len(odometry_values), rounds=_ROUNDS, held=held)[:, 0]
     return result.reshape(3, nodes).T
 
 

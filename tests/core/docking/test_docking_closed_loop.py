@@ -28,7 +28,7 @@ LAG = 2  # ticks from frame to estimate
 
 
 class Wheel:
-    """A driven wheel: slow to follow, stalls when asked for less than 8 mm/s, rolls a little off, counts millimetres."""
+    """A driven wheel: slow to follow, stalls below 8 mm/s, rolls a little off, counts whole millimetres."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng

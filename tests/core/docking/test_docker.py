@@ -1,0 +1,302 @@
+"""The docking state machine: aborts in every state, the ways through the table, and what it never does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from omnibotd.core.decision import Decision, ErrorName, Observation
+from omnibotd.core.docking.docker import Docker, DockingParameters, staging_pose
+from omnibotd.core.docking.states import TRANSITIONS, Event, State
+from omnibotd.core.geometry import STOP, Pose2D
+from omnibotd.core.percept import HomingEstimate, Verdict
+
+TICK = 0.1
+
+
+@dataclass
+class Stage:
+    """A docker, an exact base and an exact eye whose answers lag two ticks; tests bend what it observes."""
+
+    dock_from_base: Pose2D
+    docker: Docker = field(default_factory=lambda: Docker("home"))
+    stamp: float = 50.0
+    odom_from_base: Pose2D = field(default_factory=lambda: Pose2D(3.0, -2.0, 1.0))
+    charging: bool | None = None
+    bend_estimate: Callable[[HomingEstimate, bool], HomingEstimate | None] = lambda estimate, full: estimate
+    bend_observation: Callable[[Observation], Observation] = lambda observation: observation
+    decisions: list[Decision] = field(default_factory=list)
+    _answers: list[HomingEstimate | None] = field(default_factory=lambda: [None, None])
+    _newest: HomingEstimate | None = None
+
+    def tick(self) -> Decision:
+        self._newest = self._answers.pop(0) or self._newest
+        observation = Observation(self.stamp, self.odom_from_base, homing=self._newest, charging=self.charging)
+        decision = self.docker.step(self.bend_observation(observation))
+        self.decisions.append(decision)
+        self._move(decision, TICK / 2)
+        self._answers.append(self._seen(decision))
+        self._move(decision, TICK / 2)
+        self.stamp += TICK
+        return decision
+
+    def until(self, *states: State, seconds: float = 130.0) -> Decision:
+        end = self.stamp + seconds
+        while self.stamp < end:
+            decision = self.tick()
+            if decision.state in states or (decision.outcome is not None and not states):
+                return decision
+        raise AssertionError(f"still {self.docker.state} after {seconds} s, wanted {states or 'an outcome'}")
+
+    def _move(self, decision: Decision, dt: float) -> None:
+        twist = decision.twist
+        yaw = twist.wz * dt
+        step = Pose2D(twist.vx * dt * math.cos(yaw / 2), twist.vx * dt * math.sin(yaw / 2), yaw)
+        self.dock_from_base, self.odom_from_base = self.dock_from_base @ step, self.odom_from_base @ step
+
+    def _seen(self, decision: Decision) -> HomingEstimate | None:
+        if decision.homing is None:
+            return None
+        stamp = self.stamp + TICK / 2
+        exact = HomingEstimate(stamp, self.odom_from_base, self.dock_from_base, 0.9, 0.3, Verdict.ACCEPTED)
+        return self.bend_estimate(exact, decision.homing.dock_from_odom is None)
+
+
+START = Pose2D(-0.5, 0.1, 0.3)
+
+
+def stage_in(state: State) -> Stage:
+    """A stage whose docker has just come to `state`."""
+    stage = Stage(START)
+    if state is State.INITIAL_PERCEPTION:
+        stage.tick()
+    elif state is State.RETRY:
+        stage.charging = False
+        stage.until(State.RETRY)
+    else:
+        stage.charging = False if state is State.WAIT_FOR_CHARGE else None
+        stage.until(state)
+    assert stage.docker.state == state
+    return stage
+
+
+RUNNING = [State.INITIAL_PERCEPTION, State.CONTROLLING, State.WAIT_FOR_CHARGE, State.RETRY]
+ABORTS = [
+    ({"base_ok": False}, ErrorName.BASE_LINK_DOWN),
+    ({"camera_ok": False}, ErrorName.CAMERA_DOWN),
+    ({"emergency_stop": True}, ErrorName.EMERGENCY_STOP),
+    ({"stamp": 50.0 + 120.5}, ErrorName.TIMEOUT),
+]
+
+
+@pytest.mark.parametrize("state", RUNNING)
+@pytest.mark.parametrize(("change", "error"), ABORTS)
+def test_every_state_aborts_at_once_standing_still(state: State, change: dict[str, float], error: ErrorName) -> None:
+    stage = stage_in(state)
+    stage.bend_observation = lambda observation: replace(observation, **change)
+    decision = stage.tick()
+    assert decision.outcome is not None
+    assert decision.outcome.error is error
+    assert (decision.state, decision.twist, decision.homing) == (State.FAILED, STOP, None)
+
+
+@pytest.mark.parametrize("state", RUNNING)
+def test_an_outcome_is_final(state: State) -> None:
+    stage = stage_in(state)
+    stage.bend_observation = lambda observation: replace(observation, base_ok=False)
+    first = stage.tick()
+    stage.bend_observation = lambda observation: observation
+    assert stage.tick() == first
+
+
+def test_the_table_leads_from_every_state_to_an_end() -> None:
+    reached, ahead = set(), [State.INITIAL_PERCEPTION]
+    while ahead:
+        state = ahead.pop()
+        if state not in reached:
+            reached.add(state)
+            ahead += TRANSITIONS[state].values()
+    assert reached == set(State)
+    assert all(TRANSITIONS[state][Event.ABORTED] is State.FAILED for state in RUNNING)
+    assert not TRANSITIONS[State.DOCKED]
+    assert not TRANSITIONS[State.FAILED]
+
+
+@pytest.mark.parametrize("x", [-0.9, -0.4, 0.3, 0.0])
+@pytest.mark.parametrize("y", [-0.4, 0.005, 0.5])
+@pytest.mark.parametrize("yaw", [-2.8, -1.5, 0.0, 0.4, 3.1])
+def test_docks_from_anywhere_near(x: float, y: float, yaw: float) -> None:
+    stage = Stage(Pose2D(x, y, yaw))
+    decision = stage.until()
+    assert decision.outcome is not None
+    assert decision.outcome.error is None
+    assert decision.state == State.DOCKED
+    assert decision.recoveries == 0
+    assert math.hypot(stage.dock_from_base.x, stage.dock_from_base.y) <= 0.004
+    assert abs(stage.dock_from_base.yaw) <= math.radians(0.25)
+    assert stage.stamp - 50.0 < 60.0
+
+
+def test_speeds_stay_within_the_limits_and_never_below_what_wheels_can_do() -> None:
+    stage = Stage(Pose2D(-0.9, 0.4, -2.0))
+    stage.until()
+    assert max(abs(d.twist.vx) for d in stage.decisions) <= 0.2
+    assert max(abs(d.twist.wz) for d in stage.decisions) <= 0.8
+    straight = [abs(d.twist.vx) for d in stage.decisions if d.twist.wz == 0.0 and d.twist.vx != 0.0]
+    turning = [abs(d.twist.wz) for d in stage.decisions if d.twist.vx == 0.0 and d.twist.wz != 0.0]
+    assert min(straight) >= 0.01
+    assert min(turning) >= 0.05
+
+
+def test_stands_still_and_asks_for_full_fixes_until_two_agree() -> None:
+    stage = Stage(START)
+    stage.until(State.CONTROLLING)
+    looking = [d for d in stage.decisions if d.state == State.INITIAL_PERCEPTION]
+    assert all(d.twist == STOP for d in looking)
+    assert all(d.homing is not None and d.homing.dock_from_odom is None and d.homing.dock == "home" for d in looking)
+
+
+def test_fixes_that_contradict_each_other_never_set_it_off() -> None:
+    turn = iter(range(10_000))
+
+    def scatter(estimate: HomingEstimate, full: bool) -> HomingEstimate:
+        offset = Pose2D(0.3 * next(turn), 0.0, 0.0)
+        return replace(estimate, dock_from_base=offset @ estimate.dock_from_base)
+
+    stage = Stage(START, bend_estimate=scatter)
+    decision = stage.until()
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
+    assert all(d.twist == STOP for d in stage.decisions)
+
+
+def test_rejected_fixes_end_in_failed_to_detect_without_moving() -> None:
+    stage = Stage(START, bend_estimate=lambda estimate, full: replace(estimate, verdict=Verdict.REJECTED))
+    decision = stage.until()
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
+    assert decision.recoveries == 3
+    assert stage.dock_from_base == START
+
+
+def test_ambiguous_fixes_need_more_agreement() -> None:
+    sure, unsure = Stage(START), Stage(START)
+    unsure.bend_estimate = lambda estimate, full: replace(estimate, verdict=Verdict.AMBIGUOUS)
+    sure.until(State.CONTROLLING)
+    unsure.until(State.CONTROLLING)
+    assert unsure.stamp > sure.stamp
+
+
+def test_a_fix_from_before_the_robot_stood_still_does_not_count() -> None:
+    stage = Stage(START)
+    rolling = iter([0.02] * 20 + [0.0] * 1000)
+    stage.bend_observation = lambda observation: observation
+    moved_until = 0.0
+    for _ in range(60):
+        roll = next(rolling)
+        if roll:
+            moved_until = stage.stamp
+            step = Pose2D(roll * TICK * 5, 0.0, 0.0)
+            stage.dock_from_base, stage.odom_from_base = stage.dock_from_base @ step, stage.odom_from_base @ step
+        if stage.tick().state == State.CONTROLLING:
+            break
+    assert stage.docker.state == State.CONTROLLING
+    assert stage.stamp > moved_until + 0.3
+
+
+def test_a_confirmation_that_disagrees_looks_again_and_at_last_gives_up() -> None:
+    def elsewhere_at_the_end(estimate: HomingEstimate, full: bool) -> HomingEstimate:
+        at_dock = math.hypot(estimate.dock_from_base.x, estimate.dock_from_base.y) < 0.02
+        wrong = Pose2D(0.6, 0.0, 0.0) @ estimate.dock_from_base
+        return replace(estimate, dock_from_base=wrong) if full and at_dock else estimate
+
+    stage = Stage(START, bend_estimate=elsewhere_at_the_end)
+    decision = stage.until()
+    assert decision.state != State.DOCKED
+    assert decision.outcome is not None
+    assert decision.outcome.error in (ErrorName.FAILED_TO_CONTROL, ErrorName.TIMEOUT)
+
+
+def test_a_contact_that_charges_ends_it_and_is_waited_for() -> None:
+    stage = stage_in(State.WAIT_FOR_CHARGE)
+    assert stage.tick().outcome is None
+    stage.charging = True
+    decision = stage.tick()
+    assert decision.outcome is not None
+    assert decision.outcome.error is None
+
+
+def test_no_contact_backs_out_half_a_metre_three_times_then_fails() -> None:
+    stage = stage_in(State.RETRY)
+    stage.until(State.INITIAL_PERCEPTION)
+    assert stage.dock_from_base.x == pytest.approx(-0.5, abs=0.03)
+    decision = stage.until()
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.FAILED_TO_CHARGE
+    assert decision.recoveries == 3
+
+
+def test_losing_sight_while_driving_stops_and_looks_again() -> None:
+    stage = stage_in(State.CONTROLLING)
+    stage.bend_estimate = lambda estimate, full: None
+    stage.until(State.INITIAL_PERCEPTION, seconds=3.0)
+    assert stage.decisions[-1].twist == STOP
+
+
+def test_a_lifted_robot_looks_again() -> None:
+    stage = stage_in(State.CONTROLLING)
+    stage.bend_observation = lambda observation: replace(observation, wheel_drop=True)
+    assert stage.tick().state == State.INITIAL_PERCEPTION
+
+
+@pytest.mark.parametrize(("charging", "state"), [(None, State.RETRY), (False, State.RETRY), (True, State.DOCKED)])
+def test_held_by_its_bumper_it_retries_unless_it_charges(charging: bool | None, state: State) -> None:
+    stage = stage_in(State.CONTROLLING)
+    stage.charging = charging
+    stage.bend_observation = lambda observation: replace(observation, bumper_left=True)
+    stage.until(state, seconds=2.0)
+
+
+def test_a_touch_in_passing_does_not_stop_it() -> None:
+    stage = stage_in(State.CONTROLLING)
+    stage.bend_observation = lambda observation: replace(observation, bumper_right=True)
+    for _ in range(5):
+        stage.tick()
+    stage.bend_observation = lambda observation: observation
+    assert stage.until().recoveries == 0
+
+
+def test_odometry_of_the_frame_not_of_now_places_an_estimate() -> None:
+    stage = Stage(Pose2D(-0.8, 0.0, 0.0))
+    stage.until(State.CONTROLLING)
+    for _ in range(15):
+        stage.tick()
+    asked = stage.decisions[-1].homing
+    assert asked is not None
+    assert asked.dock_from_odom is not None
+    odom_before = stage.odom_from_base
+    assert (asked.dock_from_odom @ odom_before).distance(stage.dock_from_base) < 1e-6
+
+
+def test_remaining_distance_falls_to_zero() -> None:
+    stage = Stage(START)
+    stage.until()
+    remaining = [d.distance_remaining for d in stage.decisions if d.distance_remaining is not None]
+    assert remaining[0] == pytest.approx(math.hypot(START.x, START.y), abs=0.05)
+    assert remaining[-1] == 0.0
+
+
+def test_timeout_is_the_users() -> None:
+    stage = Stage(START, docker=Docker("home", DockingParameters(timeout=2.0)))
+    decision = stage.until()
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.TIMEOUT
+    assert stage.stamp - 50.0 < 2.4
+
+
+def test_staging_pose_is_half_a_metre_behind_the_dock_facing_it() -> None:
+    pose = staging_pose(Pose2D(1.0, 2.0, math.pi / 2))
+    assert (pose.x, pose.y, pose.yaw) == pytest.approx((1.0, 1.5, math.pi / 2))
