@@ -39,6 +39,7 @@ class Perception:
     def __init__(self, config: Config, control: ControlLoop, camera: Camera, off_loop: OffLoop) -> None:
         self._config, self._control, self._camera, self._off_loop = config, control, camera, off_loop
         self.model: CameraModel | None = None
+        self.lens_known = asyncio.Event()
         self.topo_map: TopoMap | None = None
         self._localizer: Localizer | None = None
         self._registration: tuple[str, DockRegistration] | None = None
@@ -99,6 +100,7 @@ class Perception:
         else:
             model = await self._off_loop(find_lens, self._first_frames, math.radians(settings.fov_deg))
         self.model = replace(model, mount_yaw=settings.mount_yaw, tilt=settings.tilt)
+        self.lens_known.set()
         self._first_frames = []
         log.info(
             "camera %dx%d, f %.1f px, centre (%.1f, %.1f)",

@@ -34,8 +34,8 @@ from omnibotd.io.camera_replay import frames_of
 DATA = Path(__file__).resolve().parents[2] / "shared/data/ceiling_lights"
 FRAMES = 200
 CEILING = 8.25 * 0.3048  # m above the camera
-# The image's top is the car's left: its horizon lies towards image right, 22 degrees nearer than the vertical's far side.
-# Turning the vertical by -22 degrees about the image's up axis gives the optical axis.
+# The horizon is 22 degrees nearer at image right: the optical axis leans that way, which is the mount's left, so the
+# vertical is turned by -22 degrees about the mount's x axis (image up).
 TILT = (math.radians(-22.0), 0.0)
 CALIBRATION = """\
 image_width: 640
@@ -56,7 +56,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Placing:
-    """Error (n,) in metres of each odd frame, and the positions (n, 2); `within` two frames' distance of the truth or not."""
+    """Error (n,) in metres and position (n, 2) of each odd frame; whether `within` two frames' distance of truth."""
 
     error: Floats
     positions: Floats
@@ -68,7 +68,7 @@ class Placing:
 
 @dataclass(frozen=True)
 class Report:
-    """Reference and path (n, 3); errors (n,) in degrees; and how the odd frames were placed, tracking and from nothing."""
+    """Reference and path (n, 3), errors (n,) in degrees, and how the odd frames were placed."""
 
     reference: Floats
     path: Floats
@@ -81,7 +81,9 @@ class Report:
     def accepted(self) -> bool:
         views, registered = np.median(np.abs(self.view_error)), np.median(np.abs(self.registration_error))
         return bool(
-            views <= MAX_VIEW_ERROR and registered <= MAX_REGISTRATION_ERROR and self.tracked.within.mean() >= MIN_PLACED
+            views <= MAX_VIEW_ERROR
+            and registered <= MAX_REGISTRATION_ERROR
+            and self.tracked.within.mean() >= MIN_PLACED
         )
 
     def __str__(self) -> str:
@@ -157,7 +159,7 @@ def _registered_path(frames: Sequence[Frame], camera: CameraModel) -> Floats:
 def _place_odd_frames(
     frames: Sequence[Frame], camera: CameraModel, path: Floats, reference: Floats
 ) -> tuple[Placing, Placing]:
-    """Teach on the even frames with the registered path for odometry, then place the odd ones: tracking, and from nothing."""
+    """Teach on the even frames, the registered path being odometry; place the odd ones, tracking and from nothing."""
     samples = [TeachingSample(frames[k].stamp, Pose2D(*path[k]), frames[k]) for k in range(0, len(frames), 2)]
     topo_map = train("ceiling_lights", samples, camera, progress=lambda stage, share: None)
     odd = range(3, len(frames) - 2, 2)
@@ -175,7 +177,7 @@ def _place_odd_frames(
 
 
 def _aligned(positions: Floats, path: Floats, reference: Floats) -> Floats:
-    """Map positions (n, 2) moved onto the reference by the rotation and shift (no scale) that fit the whole path best."""
+    """Positions (n, 2) moved onto the reference by the rotation and shift (no scale) that fit the whole path best."""
     centre, target = path[:, :2].mean(0), reference[:, :2].mean(0)
     u, _, v = np.linalg.svd((path[:, :2] - centre).T @ (reference[:, :2] - target))
     rotation = u @ np.diag([1.0, np.linalg.det(u @ v)]) @ v
@@ -202,14 +204,16 @@ def _spread(errors: Floats) -> str:
 
 
 def draw(report: Report) -> NDArray[np.uint8]:
-    """Left: reference (grey), registered path (blue), odd frames placed (green, red where too far). Right: heading errors."""
+    """Left: reference (grey), registered path (blue), odd frames (green; red: too far). Right: heading errors."""
     picture = np.full((520, 1060, 3), 255, np.uint8)
     path = _aligned(report.path[:, :2], report.path, report.reference)
     low, high = report.reference[:, :2].min(0), report.reference[:, :2].max(0)
     scale = 440.0 / float((high - low).max())
 
     def at(points: Floats) -> NDArray[np.int32]:
-        return np.column_stack([40 + (points[:, 0] - low[0]) * scale, 480 - (points[:, 1] - low[1]) * scale]).astype(np.int32)
+        return np.column_stack([40 + (points[:, 0] - low[0]) * scale, 480 - (points[:, 1] - low[1]) * scale]).astype(
+            np.int32
+        )
 
     cv2.polylines(picture, [at(report.reference)], False, (170, 170, 170), 5, cv2.LINE_AA)
     cv2.polylines(picture, [at(path)], False, (200, 80, 0), 1, cv2.LINE_AA)
@@ -221,7 +225,9 @@ def draw(report: Report) -> NDArray[np.uint8]:
         (report.registration_error, (200, 80, 0), "registration", 55),
     ):
         u = np.linspace(560, 1040, len(errors))
-        cv2.polylines(picture, [np.column_stack([u, 260 - 18 * errors]).astype(np.int32)], False, colour, 2, cv2.LINE_AA)
+        cv2.polylines(
+            picture, [np.column_stack([u, 260 - 18 * errors]).astype(np.int32)], False, colour, 2, cv2.LINE_AA
+        )
         label = f"heading error, {name}: median {np.median(np.abs(errors)):.2f} deg"
         cv2.putText(picture, label, (560, row), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
     cv2.putText(picture, "18 px a degree", (560, 505), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (90, 90, 90), 1, cv2.LINE_AA)

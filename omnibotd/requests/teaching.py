@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from omnibotd.requests.robot import Method, Robot
 
 Trainer = Callable[[Path, str, MapStore, CameraModel, Callable[[str, float], None]], Awaitable[TopoMap]]
 COVERAGE_CELL = 0.25  # m; a place seen once per such square is a place the map knows
+LENS_LIMIT = 10.0  # s; a webcam takes 1-3 s to its first picture
 SHORT_DRIVE = 5.0  # m; a shorter teaching drive rarely closes a loop
 
 
@@ -123,19 +125,13 @@ class Teaching:
     async def _train(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         name = params.name("map")
         params.end()
-        model = self._robot.perception.model
-        if model is None:
-            raise RpcError.named(
-                ErrorName.CAMERA_DOWN,
-                f"the lens is not known before a picture came: {self._robot.camera.reason}",
-            )
         if self.training is not None:
             raise RpcError.named(ErrorName.BUSY, f"map {self.training!r} is being trained")
         if self._recording is not None and self._recording.name == name:
             raise RpcError.named(ErrorName.BUSY, f"{name!r} is still being recorded; say record stop first")
         recording = self._robot.store.recording_path(name)
         began = self._robot.now()
-        topo_map = await self._trained(name, recording, model, feedback)
+        topo_map = await self._trained(name, recording, await self._lens(), feedback)
         warnings = _map_warnings(topo_map)
         active = self._robot.perception.topo_map
         if self._robot.control.running is not None:
@@ -144,6 +140,16 @@ class Teaching:
             await self._robot.use(topo_map)
         seconds = round(self._robot.now() - began, 1)
         return {**summary(self._robot.store, topo_map), "seconds": seconds, "warnings": warnings}
+
+    async def _lens(self) -> CameraModel:
+        """The camera's lens, which is known a few frames after the start."""
+        perception = self._robot.perception
+        with suppress(TimeoutError):
+            await asyncio.wait_for(perception.lens_known.wait(), LENS_LIMIT)
+        if perception.model is None:
+            reason = self._robot.camera.reason or perception.reason
+            raise RpcError.named(ErrorName.CAMERA_DOWN, f"the lens is not known before pictures come: {reason}")
+        return perception.model
 
     async def _trained(self, name: str, recording: Path, model: CameraModel, feedback: Feedback) -> TopoMap:
         def progress(stage: str, share: float) -> None:

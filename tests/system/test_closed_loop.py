@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.geometry import Pose2D, Twist2D
+from omnibotd.core.vision.camera_model import CameraModel
 from tools.sim import ceilings, virtual_time
 from tools.sim.teacher import Area, Teacher, teach
 from tools.sim.virtual_robot import VirtualRobot, virtual_robot
@@ -103,6 +105,25 @@ def test_charging_contact_closes_at_the_dock() -> None:
             return felt
 
     assert virtual_time.run(main()) == [False, True]
+
+
+def test_a_world_s_own_lens_is_its_calibration() -> None:
+    class Calibrated(Hall):
+        camera_info: ClassVar = {
+            "image_width": 160,
+            "image_height": 120,
+            "distortion_model": "equidistant",
+            "camera_matrix": {"rows": 3, "cols": 3, "data": [36.0, 0.0, 81.0, 0.0, 35.0, 59.0, 0.0, 0.0, 1.0]},
+            "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.01, 0.0, 0.0, 0.0]},
+        }
+
+    async def main() -> CameraModel | None:
+        async with virtual_robot(Calibrated(), 1) as robot:
+            return robot.daemon.perception.model
+
+    model = virtual_time.run(main())
+    assert (model.fx, model.fy, model.cx, model.cy) == (36.0, 35.0, 81.0, 59.0)
+    assert model.distortion == (0.01, 0.0, 0.0, 0.0)
 
 
 def test_a_failure_inside_the_daemon_comes_out_as_itself() -> None:

@@ -153,6 +153,7 @@ def test_what_a_world_gets_wrong_is_said(plug, part: str, value: object, message
         ("tiles", "expected MODULE:FACTORY"),
         ("no_such_module_anywhere:tiles", "PYTHONPATH"),
         ("json:no_such_factory", "no function no_such_factory"),
+        ("json:loads", r"loads\(1\) failed: TypeError"),
     ],
 )
 def test_a_world_that_is_not_there(name: str, message: str) -> None:

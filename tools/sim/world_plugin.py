@@ -44,7 +44,10 @@ def load_world(name: str, seed: int) -> World:
     factory = getattr(module, factory_name, None)
     if not callable(factory):
         raise WorldError(f"world {name!r}: module {module_name} has no function {factory_name}")
-    world: World = factory(seed)
+    try:
+        world: World = factory(seed)
+    except Exception as error:
+        raise WorldError(f"world {name!r}: {factory_name}({seed}) failed: {error!r}") from error
     problems = list(_lacks(world))
     if problems:
         raise WorldError(f"world {name!r}: " + "; ".join(problems))

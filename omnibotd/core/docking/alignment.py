@@ -53,8 +53,9 @@ class Layer:
         if displacement.wall != NO_WALL:
             return self._bent(displacement)
         affine, size = displacement.affine(self.size), (self.size, self.size)
-        feature = cv2.warpAffine(self.feature, affine, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-        mask = cv2.warpAffine(self.mask, affine, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+        smooth, nearest = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        feature = cv2.warpAffine(self.feature, affine, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE)
+        mask = cv2.warpAffine(self.mask, affine, size, flags=nearest)
         return np.asarray(feature, np.float32), np.asarray(mask, np.uint8)
 
     def _bent(self, displacement: Displacement) -> tuple[FloatImage, Image]:
@@ -66,8 +67,9 @@ class Layer:
         column = a * u + b * v + displacement.u * excess + (c + (a + b) * centre)
         row = d * u + e * v + displacement.v * excess + (f + (d + e) * centre)
         # Both maps float32: OpenCV 5 returns garbage, silently, when one is float64.
-        at, how = (column.astype(np.float32), row.astype(np.float32)), cv2.INTER_LINEAR
-        feature, mask = cv2.remap(self.feature, *at, how), cv2.remap(self.mask, *at, cv2.INTER_NEAREST)
+        at = (column.astype(np.float32), row.astype(np.float32))
+        feature = cv2.remap(self.feature, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        mask = cv2.remap(self.mask, *at, cv2.INTER_NEAREST)
         return np.asarray(feature, np.float32), np.asarray(mask, np.uint8)
 
 

@@ -19,8 +19,8 @@ from omnibotd.core.vision.frame import Frame
 
 # Metres from the dock beyond which a fix is not looked for: the views share too little of the ceiling.
 REACH = 1.3
-# Correlation of the finest layer: right fixes have more, whatever the light; unrelated views less.
-_MIN_SCORE = 0.35
+# Correlation of the finest layer: unrelated views stay below the first, nearly all right ones above the second.
+_MIN_SCORE, _SURE_SCORE = 0.35, 0.5
 # Lead over the next best candidate below which a full fix may be another tile.
 _MIN_MARGIN = 0.05
 # A tracked pose this far from the one expected is another tile, not a better estimate (m, rad).
@@ -112,7 +112,8 @@ class DockRegistration:
     def fix(self, frame: Frame, odom_from_base: Pose2D) -> HomingEstimate:
         """From nothing; `odom_from_base` belongs to the frame's stamp. A ceiling that shows nothing is REJECTED."""
         found = self._registration.fix(frame)
-        verdict = Verdict.ACCEPTED if found.margin >= _MIN_MARGIN else Verdict.AMBIGUOUS
+        sure = found.margin >= _MIN_MARGIN and found.score >= _SURE_SCORE
+        verdict = Verdict.ACCEPTED if sure else Verdict.AMBIGUOUS
         return self._estimate(frame, odom_from_base, found, verdict)
 
     def track(self, frame: Frame, odom_from_base: Pose2D, prior: Pose2D) -> HomingEstimate:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sized
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ class FramePair:
 
 @dataclass(frozen=True)
 class Drive:
-    """What is kept of a drive: spectra (n, F) of all views; of the N nodes odometry poses and views (N, RINGS, SECTORS)."""
+    """What is kept: spectra (n, F) of all views; odometry poses and views (N, RINGS, SECTORS) of the nodes."""
 
     samples: int
     spectra: NDArray[np.float32]
@@ -58,7 +59,7 @@ class Drive:
     def steps(self) -> NDArray[np.float64]:
         """(N, 3) pose of each node in the one before, by odometry; zero for the first."""
         poses = self.odom_from_node
-        moves = [before.inverse() @ after for before, after in zip(poses, poses[1:], strict=False)]
+        moves = [before.inverse() @ after for before, after in pairwise(poses)]
         return np.array([(0.0, 0.0, 0.0), *((m.x, m.y, m.yaw) for m in moves)])
 
 

@@ -36,7 +36,7 @@ _BATCH = 60
 
 @dataclass
 class Links:
-    """Visual measurements so far: node pairs, turn of `later` minus that of `earlier`, score; `place` marks revisits."""
+    """Visual measurements: node pairs, heading of `later` minus that of `earlier`, score; `place` marks revisits."""
 
     earlier: list[int] = field(default_factory=list)
     later: list[int] = field(default_factory=list)
@@ -44,7 +44,14 @@ class Links:
     score: list[float] = field(default_factory=list)
     place: list[bool] = field(default_factory=list)
 
-    def add(self, later: int, earlier: NDArray[np.intp], turn: Floats, score: Floats, place: bool) -> None:
+    def add(
+        self,
+        later: int,
+        earlier: NDArray[np.intp],
+        turn: NDArray[np.float32],
+        score: NDArray[np.float32],
+        place: bool,
+    ) -> None:
         self.later += [later] * len(earlier)
         self.earlier += [int(node) for node in earlier]
         self.turn += [float(value) for value in turn]

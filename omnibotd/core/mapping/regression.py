@@ -1,7 +1,7 @@
-"""Metric pose from neighbours: the nodes round about predict the view from any pose, and how it changes with the pose.
+"""Metric pose from neighbours: the nodes round about predict the view from any pose, and how it changes there.
 
-The prediction is kriging (Gaussian process regression over position) rather than a local line: where nodes are sparse its
-slopes fade, so that it never pulls a pose where no node has been.
+The prediction is kriging (Gaussian process regression over position) rather than a local line: where nodes are sparse
+its slopes fade, so that it never pulls a pose where no node has been.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ Floats = NDArray[np.float32]
 
 NEIGHBOURS = 20
 RADIUS = 0.6
-# Length over which views stay alike (m), Matern 3/2, and noise variance in units of a cell's own: fitted to how correlation
-# falls with distance, 0.92 at 8 cm, 0.6 at 25 cm.
+# Length over which views stay alike (m), Matern 3/2, and noise variance in units of a cell's own: fitted to how
+# correlation falls with distance, 0.92 at 8 cm, 0.6 at 25 cm.
 _LENGTH, _NOISE = 0.35, 0.1
 # No step is longer than the range over which the model is linear.
 _LONGEST_STEP = 0.2
@@ -33,7 +33,7 @@ _YAW_SIGMA = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Regressed:
-    """A pose, its standard deviation (m) in the worst direction, and the correlation of the view with the one predicted."""
+    """A pose, its standard deviation (m) in the worst direction, and how the view correlates with the predicted one."""
 
     pose: Pose2D
     sigma: float
@@ -41,8 +41,9 @@ class Regressed:
 
 
 def refine(view: View, prior: Pose2D, sigma: float, positions: Floats, aligned: View, rounds: int = 2) -> Regressed:
-    """The likeliest pose of `view` (RINGS, SECTORS), given a prior good to `sigma` metres, from nodes at positions (k, 2)
-    whose views (k, RINGS, SECTORS) are turned into map axes.
+    """The likeliest pose of `view` (RINGS, SECTORS), given a prior good to `sigma` metres.
+
+    Nodes are given by positions (k, 2) and views (k, RINGS, SECTORS) turned into map axes.
 
     Directions of which the nodes know nothing stay as the prior has them.
     """
@@ -62,8 +63,10 @@ def refine(view: View, prior: Pose2D, sigma: float, positions: Floats, aligned: 
     return Regressed(result, spread, _correlation(query, expected + jacobian @ step.astype(np.float32)))
 
 
-def _linearised(view: View, pose: NDArray[np.float64], positions: Floats, weighted: Floats) -> tuple[Floats, Floats, Floats]:
-    """Jacobian (cells, 3) of the expected minus the turned view, the turned view (cells,), the expected one (cells,)."""
+def _linearised(
+    view: View, pose: NDArray[np.float64], positions: Floats, weighted: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Jacobian (cells, 3) of the expected minus the turned view; the turned view (cells,); the expected one."""
     model = _predicted(positions - pose[:2].astype(np.float32), weighted)
     query = turned(view, pose[2]) * RING_WEIGHTS
     slope = turn_derivative(query).ravel()
@@ -94,7 +97,7 @@ def _most_likely(
         scale = 1.48 * float(np.median(errors)) + 1e-3
         weights = 1.0 / (1.0 + (errors / (2.0 * scale)) ** 2)
         normal = jacobian.T * (weights * (_INDEPENDENT_SHARE / scale**2))
-        covariance = np.linalg.inv((normal @ jacobian).astype(np.float64) + information)
+        covariance = np.asarray(np.linalg.inv((normal @ jacobian).astype(np.float64) + information), np.float64)
         step = covariance @ (normal @ residual - information @ deviation)
         errors = np.abs(residual - jacobian @ step.astype(np.float32))
     return step, covariance

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,8 @@ Floats = NDArray[np.float32]
 SIDE = 10
 # Batch training settles in few epochs; more changes nothing measurable (the thesis' online schedule needs 500).
 _EPOCHS = 30
-# The neighbourhood shrinks geometrically from a third of the torus to hardly beyond the unit itself; stopping at 0.4 keeps
-# neighbours alike, which probing several units relies on.
+# The neighbourhood shrinks geometrically from a third of the torus to hardly beyond the unit itself; stopping at 0.4
+# keeps neighbours alike, which probing several units relies on.
 _FINAL_RADIUS = 0.4
 
 
@@ -27,11 +28,11 @@ class Som:
 
     @property
     def side(self) -> int:
-        return round(len(self.codebook) ** 0.5)
+        return math.isqrt(len(self.codebook))
 
     @classmethod
     def train(cls, samples: ArrayLike, side: int = SIDE, seed: int = 0) -> Som:
-        """Batch training on (n, features); the same seed gives the same codebook. MapError on empty or non-finite data."""
+        """Batch training on (n, features), deterministic by seed. MapError on empty or non-finite data."""
         data = _checked(samples)
         rng = np.random.default_rng(seed)
         codebook = data[rng.choice(len(data), side * side, replace=len(data) < side * side)]
@@ -74,7 +75,7 @@ def torus_distances(side: int) -> Floats:
 
 def _around(difference: NDArray[np.intp], side: int) -> NDArray[np.intp]:
     apart = np.abs(difference)
-    return np.minimum(apart, side - apart)
+    return np.asarray(np.minimum(apart, side - apart))
 
 
 def _epoch(data: Floats, codebook: Floats, neighbourhood: Floats) -> Floats:

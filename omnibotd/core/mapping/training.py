@@ -6,9 +6,11 @@ Runs in a process of its own; imports scipy through its parts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 
 import numpy as np
 
+from omnibotd.core.docking.ceiling_height import visual_height
 from omnibotd.core.errors import TrainingError
 from omnibotd.core.mapping import snapshots
 from omnibotd.core.mapping.drive import Drive, TeachingSample, read_drive
@@ -89,18 +91,18 @@ def calibration_of(camera: CameraModel) -> dict[str, float]:
 def _check_enough(drive: Drive) -> None:
     if drive.samples < _FEWEST_NODES:
         raise TrainingError(
-            f"the recording holds {drive.samples} samples with frame and odometry, at least {_FEWEST_NODES} are needed: "
-            "drive round for a minute or more"
+            f"the recording holds {drive.samples} samples with frame and odometry, at least {_FEWEST_NODES} are "
+            "needed: drive round for a minute or more"
         )
     if len(drive.views) < _FEWEST_NODES:
         raise TrainingError(
-            f"the robot hardly moved: {len(drive.views)} places 8 cm or 15 degrees apart in {drive.samples} samples, at least "
-            f"{_FEWEST_NODES} are needed; if it did drive, odometry isn't arriving (see omnibotctl doctor)"
+            f"the robot hardly moved: {len(drive.views)} places 8 cm or 15 degrees apart in {drive.samples} samples, "
+            f"at least {_FEWEST_NODES} are needed; if it did drive, odometry isn't arriving (see omnibotctl doctor)"
         )
 
 
 def _check_likeness(views: Harmonics) -> None:
-    scores = [correlate(after, before[None])[1][0] for before, after in zip(views, views[1:], strict=False)]
+    scores = [correlate(after, before[None])[1][0] for before, after in pairwise(views)]
     likeness = float(np.median(scores))
     if likeness < _LEAST_LIKENESS:
         raise TrainingError(
@@ -110,4 +112,7 @@ def _check_likeness(views: Harmonics) -> None:
 
 
 def _ceiling_height(drive: Drive, camera: CameraModel) -> float:
-    return float("nan")
+    """Median over pairs of frames, metres; NaN where fewer than half of them agree on anything."""
+    heights = [visual_height(camera, pair.first, pair.second, pair.second_from_first) for pair in drive.pairs]
+    known = [height for height in heights if height is not None]
+    return float(np.median(known)) if 2 * len(known) > len(heights) else float("nan")

@@ -45,7 +45,7 @@ class Hypotheses:
 
     def supported(self, poses: Floats, scores: Floats) -> Floats:
         """(H,) best score of the candidates (C, 3), (C,) near each hypothesis; -1 where there is none."""
-        return np.where(self._near(poses), scores, -1.0).max(1, initial=-1.0)
+        return np.asarray(np.where(self._near(poses), scores, -1.0).max(1, initial=-1.0))
 
     def weigh(self, poses: Floats, scores: Floats, excused: Floats, evidence: float) -> None:
         """Reweigh by candidates; `evidence` in (0, 1] says how independent this frame is of the last one.

@@ -1,4 +1,4 @@
-"""Localisation: a frame and odometry in, a pose in the map and the belief in it out (thesis §6.3.2, and what it lacked).
+"""Localisation: a frame and odometry in, a pose in the map and the belief in it out (thesis §6.3.2, and more).
 
 view -> spectrum -> SOM buckets -> 20 candidates -> circular correlation -> hypotheses carried by odometry -> local
 regression for the metric pose -> confidence.
@@ -80,7 +80,9 @@ class Localizer:
         return self._estimate(frame.stamp, odom_from_base, fitted, poses, scores, nodes, moved)
 
     def _excused(self) -> Floats:
-        return np.array([_BY_CHANCE * (1.0 - covered(self._index.distance(x, y))) for x, y, _ in self._hypotheses.poses])
+        return np.array(
+            [_BY_CHANCE * (1.0 - covered(self._index.distance(x, y))) for x, y, _ in self._hypotheses.poses]
+        )
 
     def _move(self, odom_from_base: Pose2D) -> float:
         """Carry the hypotheses along; returns the motion in metres, turns included."""
@@ -106,7 +108,7 @@ class Localizer:
         self._hypotheses.propose(poses[worthy], scores[worthy])
 
     def _sharpen(self, view: View) -> float:
-        """Correct the likeliest hypothesis by regression; returns how well the view predicted there correlates, or -1."""
+        """Correct the likeliest hypothesis by regression; returns how well the view predicted there fits, or -1."""
         x, y, yaw = (float(value) for value in self._hypotheses.poses[0])
         near = self._index.near(x, y, regression.RADIUS, regression.NEIGHBOURS)
         if len(near) < _FEWEST:

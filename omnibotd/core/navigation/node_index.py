@@ -14,7 +14,7 @@ from omnibotd.core.vision.view import View
 Floats = NDArray[np.float32]
 Nodes = NDArray[np.intp]
 
-# Best matching units searched, and candidates kept for correlation: wider finds the place in 99 %, at 20 us a candidate.
+# Best matching units searched, and candidates kept for correlation: more finds hardly more, at 20 us a candidate.
 _PROBES, _CANDIDATES = 6, 20
 # Nodes unpacked at a time: bounds the memory that loading needs to some 20 MB.
 _BLOCK = 500
@@ -28,7 +28,8 @@ class NodeIndex:
     def __init__(self, topo_map: TopoMap) -> None:
         if topo_map.codebook.shape[1] != FEATURES:
             raise MapError(
-                f"map {topo_map.name!r}: codebook of {topo_map.codebook.shape[1]} features, expected {FEATURES}: train it again"
+                f"map {topo_map.name!r}: codebook of {topo_map.codebook.shape[1]} features, expected {FEATURES}: "
+                "train it again"
             )
         self.poses = topo_map.poses
         nodes = len(topo_map)
@@ -73,7 +74,7 @@ class NodeIndex:
         inside, squared = inside[close], squared[close]
         if len(inside) > count:
             inside = inside[np.argpartition(squared, count)[:count]]
-        return inside
+        return np.asarray(inside)
 
     def distance(self, x: float, y: float) -> float:
         """Metres from (x, y) to the nearest node."""

@@ -1,4 +1,4 @@
-"""Describing and comparing views: a rotation-invariant spectrum to look up, circular correlation to verify and to find the heading."""
+"""Comparing views: a rotation-invariant spectrum to look up, circular correlation to verify and to find the heading."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Descriptor:
 
     @staticmethod
     def spectrum(view: View) -> Floats:
-        """(..., FEATURES) amplitudes of the first harmonics of every ring of (..., RINGS, SECTORS): blind to rotation."""
+        """(..., FEATURES): amplitudes of the first harmonics of every ring of (..., RINGS, SECTORS); blind to turns."""
         amplitude = np.abs(np.fft.rfft(view, axis=-1)[..., :BINS]) / math.sqrt(SECTORS)
         amplitude[..., 0] /= math.sqrt(2.0)
         weighted = amplitude * RING_WEIGHTS
@@ -49,7 +49,7 @@ class Descriptor:
 
 
 def harmonics(views: View) -> Harmonics:
-    """Ring-weighted, zero-mean, unit-norm views (..., RINGS, SECTORS) as (..., RINGS, SECTORS/2+1): ready to correlate."""
+    """Views (..., RINGS, SECTORS) ring-weighted, zero-mean, unit-norm, as (..., RINGS, SECTORS/2+1) to correlate."""
     weighted = views * RING_WEIGHTS
     weighted = weighted - weighted.mean((-1, -2), keepdims=True)
     spectra = np.fft.rfft(weighted, axis=-1).astype(np.complex64)
@@ -60,7 +60,7 @@ def harmonics(views: View) -> Harmonics:
 def correlate(query: Harmonics, stored: Harmonics) -> tuple[Floats, Floats]:
     """Compare one view (RINGS, K) with M others (M, RINGS, K): turn (M,) rad and normalised correlation (M,).
 
-    `turn` is the heading of the query minus that of the stored view, at the correlation's peak (parabola through three).
+    `turn` is the heading of the query minus that of the stored view, at the correlation's peak (a parabola's).
     """
     curve = np.fft.irfft(np.einsum("mrk,rk->mk", stored, query.conj()), n=SECTORS, axis=-1) * SECTORS
     rows = np.arange(len(curve))
@@ -73,7 +73,7 @@ def correlate(query: Harmonics, stored: Harmonics) -> tuple[Floats, Floats]:
 
 
 def turned(views: View, yaw: NDArray[np.floating]) -> View:
-    """Views (..., RINGS, SECTORS) as seen in axes turned by -yaw (...): from base axes to map axes for yaw = map heading."""
+    """Views (..., RINGS, SECTORS) of a base with headings `yaw` (...), turned from its axes into the map's."""
     phase = np.exp(-1j * _ORDERS * np.asarray(yaw)[..., None])[..., None, :]
     return np.asarray(np.fft.irfft(np.fft.rfft(views, axis=-1) * phase, n=SECTORS, axis=-1), np.float32)
 

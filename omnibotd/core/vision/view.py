@@ -42,7 +42,7 @@ def relative_gradient(grey: Image) -> FloatImage:
 
 def reduction_for(camera: CameraModel) -> int:
     """How many times smaller to decode a frame, in {1, 2, 4, 8}, so that the focal length is nearest the tuned one."""
-    return 2 ** int(np.clip(round(math.log2(max(camera.fx, 1.0) / _FOCAL)), 0, 3))
+    return 1 << min(max(round(math.log2(max(camera.fx, 1.0) / _FOCAL)), 0), 3)
 
 
 class Viewer:
@@ -60,23 +60,24 @@ class Viewer:
         self._cell_scale = np.where(self.seen, 1.0 / np.maximum(share, 0.25), 0.0).astype(np.float32)
         if self.seen.mean() < 0.3:
             raise FrameError(
-                f"camera model {camera.width}x{camera.height} px, fx {camera.fx:.0f}: only {self.seen.mean():.0%} of the sky "
-                "within 79 degrees of the vertical is in the image; check camera.calibration, camera.tilt and camera.fov_deg"
+                f"camera model {camera.width}x{camera.height} px, fx {camera.fx:.0f}: only {self.seen.mean():.0%} "
+                "of what lies within 79 degrees of the vertical is in the image; check camera.calibration, camera.tilt and "
+                "camera.fov_deg"
             )
 
     def texture(self, frame: Frame) -> View:
-        """(RINGS, SECTORS) relative gradient; zero where the camera doesn't see. FrameError: other size than calibrated."""
+        """(RINGS, SECTORS) relative gradient; zero where the camera doesn't see. FrameError: wrong size."""
         grey = frame.grey(self.reduction)
         if grey.shape != self._size:
             raise FrameError(
-                f"frame is about {grey.shape[1] * self.reduction}x{grey.shape[0] * self.reduction} px, the camera model is for "
-                f"{self._size[1] * self.reduction}x{self._size[0] * self.reduction}: calibrate at the size that is used"
+                f"frame is about {grey.shape[1] * self.reduction}x{grey.shape[0] * self.reduction} px, the camera "
+                f"model is for {self._size[1] * self.reduction}x{self._size[0] * self.reduction}: calibrate at the size used"
             )
         samples = cv2.remap(relative_gradient(grey), self._u, self._v, cv2.INTER_LINEAR)
-        return np.asarray(_cell_means(samples) * self._cell_scale, np.float32)
+        return np.asarray(_cell_means(np.asarray(samples, np.float32)) * self._cell_scale, np.float32)
 
     def normalised(self, texture: View) -> View:
-        """Zero mean and unit variance over the cells seen, zero elsewhere; all zero for a picture without any contrast."""
+        """Zero mean and unit variance over the cells seen, zero elsewhere; all zero without any contrast."""
         cells = texture[self.seen]
         spread = float(cells.std())
         if spread < 1e-6:
@@ -84,7 +85,7 @@ class Viewer:
         return np.where(self.seen, (texture - cells.mean()) / spread, 0.0).astype(np.float32)
 
     def contrast(self, texture: View) -> float:
-        """How much there is to see: spread of the relative gradient (bare ceiling below 0.1, lamps and tiles above 0.3)."""
+        """How much there is to see: spread of the relative gradient (sensor noise below 0.1, lamps and tiles 0.5)."""
         return float(texture[self.seen].std())
 
 

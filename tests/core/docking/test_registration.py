@@ -1,0 +1,167 @@
+"""Full fixes and tracking under rendered ceilings; the truth is where the renderer stood."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+from omnibotd.core.docking.ceiling_height import visual_height
+from omnibotd.core.docking.features import edge_strength, unoccluded
+from omnibotd.core.docking.registration import DockRegistration
+from omnibotd.core.errors import FrameError
+from omnibotd.core.geometry import Pose2D, wrap
+from omnibotd.core.percept import HomingEstimate, Verdict
+from omnibotd.core.vision.camera_model import CameraModel
+from omnibotd.core.vision.frame import Frame
+from tools.sim import ceilings
+from tools.sim.world import World
+
+CAMERA = CameraModel.equidistant(640, 480, math.radians(190.0), 240.0)
+HEIGHT = 2.2  # m, of the rendered ceilings above the camera
+MIDDLE = Pose2D(0.15, -0.1, 0.4)
+STYLES = ["tiles", "plain", "beams", "photo"]
+
+
+@cache
+def world(style: str) -> World:
+    return getattr(ceilings, style)(5)
+
+
+def see(style: str, pose: Pose2D, stamp: float = 1.0) -> Frame:
+    return Frame(stamp, world(style).render(pose.x, pose.y, pose.yaw, stamp))
+
+
+@cache
+def registration(style: str, dock: Pose2D) -> DockRegistration:
+    return DockRegistration(CAMERA, see(style, dock, 0.0), HEIGHT)
+
+
+def error(estimate: HomingEstimate, truth: Pose2D) -> tuple[float, float]:
+    found = estimate.dock_from_base
+    return found.distance(truth), abs(math.degrees(wrap(found.yaw - truth.yaw)))
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("away", [Pose2D(0.0, 0.0, 0.0), Pose2D(-0.5, 0.2, 2.0), Pose2D(0.3, -0.8, -3.0)])
+def test_a_full_fix_in_the_open_is_right_within_two_centimetres(style: str, away: Pose2D) -> None:
+    odom = Pose2D(5.0, 6.0, 1.0)
+    estimate = registration(style, MIDDLE).fix(see(style, MIDDLE @ away, 7.0), odom)
+    assert estimate.verdict is Verdict.ACCEPTED
+    assert (estimate.stamp, estimate.odom_from_base) == (7.0, odom)
+    metres, degrees = error(estimate, away)
+    assert metres < 0.02
+    assert degrees < 0.5
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_tracking_from_odometry_is_right_within_two_centimetres(style: str) -> None:
+    away, drift = Pose2D(-0.4, 0.1, 0.3), Pose2D(0.04, -0.03, 0.05)
+    estimate = registration(style, MIDDLE).track(see(style, MIDDLE @ away), Pose2D(), away @ drift)
+    assert estimate.verdict is Verdict.ACCEPTED
+    metres, degrees = error(estimate, away)
+    assert metres < 0.02
+    assert degrees < 0.5
+
+
+@pytest.mark.parametrize("style", ["tiles", "plain"])
+def test_a_dock_at_the_wall_is_found_by_learning_the_wall(style: str) -> None:
+    """Half of the dock's view is a wall 22 cm ahead: as one plane, the views would agree 10-40 cm off."""
+    dock, away = Pose2D(*world(style).dock), Pose2D(-0.5, 0.1, 0.2)
+    fresh = DockRegistration(CAMERA, see(style, dock, 0.0), HEIGHT)
+    fresh.fix(see(style, dock @ away), Pose2D())
+    later = Pose2D(-0.3, 0.05, 0.1)
+    metres, degrees = error(fresh.track(see(style, dock @ later), Pose2D(), later), later)
+    assert metres < 0.03
+    assert degrees < 1.0
+
+
+def test_another_light_changes_little() -> None:
+    dim = ceilings.tiles(5, light="half_lamps")
+    away = Pose2D(-0.4, 0.3, -1.2)
+    pose = MIDDLE @ away
+    frame = Frame(1.0, dim.render(pose.x, pose.y, pose.yaw, 1.0))
+    metres, degrees = error(registration("tiles", MIDDLE).fix(frame, Pose2D()), away)
+    assert metres < 0.02
+    assert degrees < 0.5
+
+
+def test_a_wrong_prior_far_from_the_truth_is_rejected_or_lands_on_it() -> None:
+    away = Pose2D(-0.2, 0.0, 0.0)
+    wrong = Pose2D(0.6, 0.5, 2.0)
+    estimate = registration("tiles", MIDDLE).track(see("tiles", MIDDLE @ away), Pose2D(), wrong)
+    assert estimate.verdict is Verdict.REJECTED or error(estimate, away)[0] < 0.02
+
+
+@pytest.mark.parametrize("level", [0, 130, 255])
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+def test_a_flat_ceiling_is_rejected_not_a_crash(level: int, noise: float) -> None:
+    rng = np.random.default_rng(3)
+
+    def flat() -> Frame:
+        return Frame(0.0, np.clip(rng.normal(level, noise, (480, 640)), 0, 255).astype(np.uint8))
+
+    empty = DockRegistration(CAMERA, flat(), HEIGHT)
+    assert empty.fix(flat(), Pose2D()).verdict is Verdict.REJECTED
+    assert empty.track(flat(), Pose2D(), Pose2D(0.1, 0.0, 0.0)).verdict is Verdict.REJECTED
+
+
+def test_another_rooms_ceiling_is_not_accepted_twice_alike() -> None:
+    """One fix may be fooled; what sets the robot off is two that agree from two frames."""
+    poses = [
+        registration("tiles", MIDDLE).fix(see("beams", Pose2D(0.3 * k, -0.2 * k, 0.5 * k)), Pose2D())
+        for k in range(-2, 3)
+    ]
+    accepted = [estimate for estimate in poses if estimate.verdict is Verdict.ACCEPTED]
+    assert len(accepted) <= 2
+
+
+def test_a_snapshot_of_another_size_names_both_sizes() -> None:
+    with pytest.raises(FrameError, match=r"\d+x\d+.*\d+x\d+"):
+        DockRegistration(CAMERA, Frame(0.0, np.zeros((240, 320), np.uint8)), HEIGHT)
+
+
+@pytest.mark.parametrize("style", ["tiles", "plain"])
+def test_ceiling_height_from_a_known_displacement(style: str) -> None:
+    heights = []
+    for k in range(5):
+        first, moved = Pose2D(-0.8 + 0.4 * k, 0.3, 0.7 * k), Pose2D(0.35, 0.05, 0.3)
+        second = first @ moved
+        heights.append(visual_height(CAMERA, see(style, first), see(style, second), moved.inverse()))
+    found = [height for height in heights if height is not None]
+    assert len(found) >= 3
+    assert float(np.median(found)) == pytest.approx(HEIGHT, rel=0.02)
+
+
+@pytest.mark.parametrize("moved", [Pose2D(0.1, 0.0, 0.0), Pose2D(0.9, 0.0, 0.0)])
+def test_no_height_from_too_short_or_too_long_a_way(moved: Pose2D) -> None:
+    frames = see("tiles", MIDDLE), see("tiles", MIDDLE @ moved)
+    assert visual_height(CAMERA, *frames, moved.inverse()) is None
+
+
+def test_no_height_where_sight_and_odometry_contradict_each_other() -> None:
+    moved, claimed = Pose2D(0.4, 0.0, 0.0), Pose2D(0.0, 0.4, 0.0)
+    frames = see("tiles", MIDDLE), see("tiles", MIDDLE @ moved)
+    assert visual_height(CAMERA, *frames, claimed.inverse()) is None
+
+
+def test_edge_strength_ignores_gain() -> None:
+    grey = see("tiles", MIDDLE).grey()
+    bright, dark = edge_strength(grey), edge_strength((grey // 2).astype(np.uint8))
+    inside = np.s_[150:330, 230:410]
+    assert np.corrcoef(bright[inside].ravel(), dark[inside].ravel())[0, 1] > 0.95
+
+
+def test_a_person_at_the_border_is_masked_and_a_dark_tile_inside_is_not() -> None:
+    view = np.full((160, 160), 180, np.uint8)
+    cv2.rectangle(view, (60, 60), (90, 90), 20, -1)
+    assert unoccluded(view) is None
+    cv2.ellipse(view, (0, 80), (40, 25), 0, 0, 360, 20, -1)
+    free = unoccluded(view)
+    assert free is not None
+    assert free[80, 10] == 0
+    assert free[75, 75] == 255
+    assert free[20, 140] == 255
