@@ -1,6 +1,7 @@
 """The whole daemon with a simulated robot in virtual time: hand driving, silence on the line, and a first trip."""
 
 import asyncio
+import json
 import math
 from typing import ClassVar
 
@@ -11,6 +12,7 @@ import pytest
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.geometry import Pose2D, Twist2D
 from omnibotd.core.vision.camera_model import CameraModel
+from tools.evaluation.__main__ import main
 from tools.sim import ceilings, virtual_time
 from tools.sim.teacher import Area, Teacher, teach
 from tools.sim.virtual_robot import VirtualRobot, virtual_robot
@@ -44,7 +46,7 @@ async def _drive(robot: VirtualRobot, twist: Twist2D, seconds: float) -> None:
 
 
 def test_drives_at_the_speed_asked_for_and_stops_when_nobody_renews_it() -> None:
-    async def main() -> None:
+    async def live() -> None:
         async with virtual_robot(Hall(), 1) as robot:
             await _drive(robot, Twist2D(0.2, 0.0), 3.0)
             before = robot.pose
@@ -55,11 +57,11 @@ def test_drives_at_the_speed_asked_for_and_stops_when_nobody_renews_it() -> None
             await asyncio.sleep(2.0)
             assert stood.distance(robot.pose) < 1e-3
 
-    virtual_time.run(main())
+    virtual_time.run(live())
 
 
 def test_wheels_stop_by_themselves_when_the_line_falls_silent() -> None:
-    async def main() -> None:
+    async def live() -> None:
         async with virtual_robot(Hall(), 1) as robot:
             await _drive(robot, Twist2D(0.3, 0.0), 3.0)
             cut_at = robot.pose
@@ -79,11 +81,11 @@ def test_wheels_stop_by_themselves_when_the_line_falls_silent() -> None:
             await _drive(robot, Twist2D(0.3, 0.0), 2.0)
             assert stood.distance(robot.pose) > 0.3
 
-    virtual_time.run(main())
+    virtual_time.run(live())
 
 
 def test_being_carried_is_felt_by_no_wheel() -> None:
-    async def main() -> None:
+    async def live() -> None:
         async with virtual_robot(Hall(), 1) as robot:
             robot.teleport(Pose2D(5.0, 5.0, 1.0))
             await asyncio.sleep(0.5)
@@ -91,11 +93,11 @@ def test_being_carried_is_felt_by_no_wheel() -> None:
             with pytest.raises(WorldError, match="no room"):
                 robot.teleport(Pose2D(9.95, 0.0))
 
-    virtual_time.run(main())
+    virtual_time.run(live())
 
 
 def test_charging_contact_closes_at_the_dock() -> None:
-    async def main() -> list[bool]:
+    async def live() -> list[bool]:
         async with virtual_robot(Hall(), 1) as robot:
             felt = []
             for pose in (Pose2D(0.0, 0.0), Pose2D(*Hall.dock)):
@@ -104,7 +106,7 @@ def test_charging_contact_closes_at_the_dock() -> None:
                 felt.append((await robot.call("status"))["charging"])
             return felt
 
-    assert virtual_time.run(main()) == [False, True]
+    assert virtual_time.run(live()) == [False, True]
 
 
 def test_a_world_s_own_lens_is_its_calibration() -> None:
@@ -117,11 +119,11 @@ def test_a_world_s_own_lens_is_its_calibration() -> None:
             "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.01, 0.0, 0.0, 0.0]},
         }
 
-    async def main() -> CameraModel | None:
+    async def live() -> CameraModel | None:
         async with virtual_robot(Calibrated(), 1) as robot:
             return robot.daemon.perception.model
 
-    model = virtual_time.run(main())
+    model = virtual_time.run(live())
     assert (model.fx, model.fy, model.cx, model.cy) == (36.0, 35.0, 81.0, 59.0)
     assert model.distortion == (0.01, 0.0, 0.0, 0.0)
 
@@ -135,14 +137,14 @@ def test_a_failure_inside_the_daemon_comes_out_as_itself() -> None:
                 raise ZeroDivisionError("the world ended")
             return super().render(x, y, yaw, t)
 
-    async def main() -> None:
+    async def live() -> None:
         world = Broken()
         async with virtual_robot(world, 1):
             world.broken = True
             await asyncio.sleep(10.0)
 
     with pytest.raises(ZeroDivisionError, match="the world ended"):
-        virtual_time.run(main())
+        virtual_time.run(live())
 
 
 async def _first_trip() -> tuple[list[tuple[float, float, float]], Pose2D, Pose2D]:
@@ -167,3 +169,22 @@ def test_record_train_goto_and_the_same_again_to_the_last_bit() -> None:
     assert abs(end.yaw - start.yaw) < math.radians(5.0)
     assert len(track) > 20
     assert virtual_time.run(_first_trip()) == (track, start, end)
+
+
+def test_evaluation_writes_what_the_contract_says(tmp_path, capsys) -> None:
+    out = tmp_path / "out.json"
+    arguments = ["--world", "tools.sim.ceilings:plain", "--runs", "2", "--teach", "30", "--seed", "5", "--json"]
+    assert main(["goto", *arguments, str(out)]) == 0
+    result = json.loads(out.read_text("utf-8"))
+    assert list(result) == ["meta", "runs", "summary"]
+    assert [result["meta"][key] for key in ("world", "seed", "teach_s")] == ["tools.sim.ceilings:plain", 5, 30.0]
+    assert result["meta"]["virtual_s"] > 30.0
+    first, second = result["runs"]
+    assert math.dist(first["final"][:2], second["start"][:2]) < 0.01  # each starts where the last ended
+    for run in result["runs"]:
+        assert run["error_m"] == pytest.approx(math.dist(run["goal"][:2], run["final"][:2]))
+        assert run["seconds"] > 0.0
+    assert sum(result["summary"]["results"].values()) == result["summary"]["n"] == 2
+    told = capsys.readouterr()
+    assert "error, median" in told.out
+    assert "2/2" in told.err

@@ -10,11 +10,23 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
+from omnibotd.control_protocol import RpcError
+from omnibotd.core.decision import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D
 from tools.evaluation.__main__ import main
 from tools.evaluation.summary import Run, Summary
 from tools.sim import virtual_time
-from tools.sim.teacher import CLEARANCE, SPEED, Area, NoWay, Teacher, clear_way, towards
+from tools.sim.teacher import (
+    CLEARANCE,
+    SAVE_TRIES,
+    SPEED,
+    Area,
+    NoWay,
+    Teacher,
+    clear_way,
+    save_dock,
+    towards,
+)
 from tools.sim.virtual_robot import somewhere
 from tools.sim.world_plugin import WorldError, load_world
 
@@ -229,6 +241,28 @@ def test_parking_ends_in_place() -> None:
     assert pushed == Pose2D(*Room.dock)
     assert driven.distance(pushed) < 0.04
     assert abs(driven.yaw) < 0.1
+
+
+def test_dock_is_saved_once_the_robot_knows_where_it_is() -> None:
+    class Unsure(IdealRobot):
+        def __init__(self, refusals: list[ErrorName]) -> None:
+            super().__init__()
+            self.refusals = refusals
+
+        async def call(self, method: str, **params: object) -> dict[str, object]:
+            if self.refusals:
+                raise RpcError.named(self.refusals.pop(), "no")
+            return {"name": params["name"]}
+
+    async def main(refusals: list[ErrorName]) -> dict[str, object]:
+        robot = Unsure(refusals)
+        dock = Pose2D(*Room.dock)
+        return await save_dock(robot, Teacher(robot, Area.to_teach(robot.world), 1), "dock", dock)
+
+    assert virtual_time.run(main([ErrorName.LOST] * (SAVE_TRIES - 1))) == {"name": "dock"}
+    for refusals in ([ErrorName.LOST] * SAVE_TRIES, [ErrorName.CAMERA_DOWN]):
+        with pytest.raises(RpcError, match="no"):
+            virtual_time.run(main(refusals))
 
 
 def test_usage_errors_are_found_before_anything_runs(tmp_path, capsys) -> None:

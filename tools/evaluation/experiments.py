@@ -16,7 +16,7 @@ from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.drive import read_drive
 from omnibotd.io.recording import teaching_samples
 from tools.evaluation.summary import Run
-from tools.sim.teacher import CLEARANCE, NEAR_DOCK, TRIES, Area, NoWay, Teacher, free_point, teach
+from tools.sim.teacher import CLEARANCE, NEAR_DOCK, TRIES, Area, NoWay, Teacher, free_point, save_dock, teach
 from tools.sim.virtual_robot import VirtualRobot
 
 MAP = "evaluated"
@@ -64,9 +64,9 @@ async def dock(robot: VirtualRobot, plan: Plan, report: Report) -> list[Run]:
     rng = random.Random(plan.seed)
     area = Area.to_teach(robot.world, (goal.x, goal.y), margin=NEAR_DOCK)
     robot.teleport(Pose2D(*free_point(robot.world, area, rng)))
-    await teach(robot, Teacher(robot, area, plan.seed), MAP, plan.teach, park=goal)
-    await asyncio.sleep(PUT_DOWN)
-    await robot.call("dock.save", name=DOCK)
+    teacher = Teacher(robot, area, plan.seed)
+    await teach(robot, teacher, MAP, plan.teach, park=goal)
+    await save_dock(robot, teacher, DOCK, goal)
     report(f"taught {plan.teach:.0f} s round the dock and saved it")
     runs: list[Run] = []
     for _ in range(plan.runs):

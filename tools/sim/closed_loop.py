@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import sys
 import time
 
@@ -12,7 +11,7 @@ import cv2
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.geometry import Pose2D
 from tools.sim import virtual_time
-from tools.sim.teacher import NEAR_DOCK, Area, NoWay, Teacher, teach
+from tools.sim.teacher import NEAR_DOCK, Area, NoWay, Teacher, save_dock, teach
 from tools.sim.virtual_robot import VirtualRobot, virtual_robot
 from tools.sim.world_plugin import World, WorldError, load_world
 
@@ -28,8 +27,7 @@ async def scenario(world: World, seed: int, seconds: float) -> VirtualRobot:
         teacher = Teacher(robot, area, seed)
         await teach(robot, teacher, ROOM, seconds, park=dock)
         _say(robot, f"recorded {seconds:.0f} s, trained {len(robot.store.load(ROOM))} nodes")
-        await asyncio.sleep(2.0)
-        saved = await robot.call("dock.save", name=DOCK)
+        saved = await save_dock(robot, teacher, DOCK, dock)
         _say(robot, f"dock saved at {saved['pose']}")
         await robot.call("goto", at=[0.0, 0.0, 0.0])  # the map begins where the recording began
         _say(robot, f"went home, {robot.pose.distance(home) * 100:.1f} cm from where it began")

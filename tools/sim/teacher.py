@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from omnibotd.control_protocol import RpcError
+from omnibotd.core.decision import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D, wrap
 from tools.sim.world_plugin import World
 
@@ -21,6 +23,7 @@ NEAR_DOCK = 0.3  # m from the walls, which docks stand at: the floor round them 
 CLEARANCE = 0.25  # m between the robot's centre and whatever is not free
 RUN_UP = 0.5  # m driven straight before parking
 LEG_LIMIT = 60.0  # s; a robot that something holds doesn't push against it for ever
+SAVE_TRIES = 3  # times driven into the dock until the robot knows where it stands
 TRIES = 1000  # random points before a place counts as having no way out
 
 
@@ -172,3 +175,20 @@ async def teach(robot: Drivable, teacher: Teacher, name: str, seconds: float, pa
     await robot.call("train", map=name)
     await robot.call("map.use", map=name)
     return Path(started["path"])
+
+
+async def save_dock(robot: Drivable, teacher: Teacher, name: str, pose: Pose2D) -> dict[str, Any]:
+    """Save the dock that the robot stands in at `pose`; while it is not sure where that is, drive out and in again.
+
+    Raises RpcError as soon as the robot refuses for another reason, or stays unsure.
+    """
+    tries = 1
+    while True:
+        await asyncio.sleep(1.0)
+        try:
+            return await robot.call("dock.save", name=name)
+        except RpcError as error:
+            if error.name is not ErrorName.LOST or tries == SAVE_TRIES:
+                raise
+        await teacher.park(pose)
+        tries += 1

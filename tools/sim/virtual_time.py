@@ -40,6 +40,7 @@ class VirtualTimeLoop(asyncio.BaseEventLoop):
         super().__init__()
         self._now = start
         self._turns = 0
+        self._owner = threading.get_ident()
         self._selector = self  # BaseEventLoop waits by `self._selector.select(timeout)`
         self._clock_resolution = 1e-9
 
@@ -67,7 +68,7 @@ class VirtualTimeLoop(asyncio.BaseEventLoop):
         return future
 
     def call_soon_threadsafe(self, callback: Callable[..., object], *args: Any, context: Any = None) -> asyncio.Handle:
-        if threading.get_ident() != self._thread_id:
+        if threading.get_ident() != self._owner:
             thread = threading.current_thread().name
             raise VirtualTimeError(f"thread {thread!r} reports to a virtual clock: use an executor instead")
         return self.call_soon(callback, *args, context=context)

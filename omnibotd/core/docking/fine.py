@@ -31,8 +31,8 @@ _WALLS = tuple(
 )
 # What was found without knowing of the wall is too far, by its parallax: tried as it is and this much nearer.
 _NEARER = (1.0, 0.7)
-_WALL_TRY = Effort(iterations=3, huber=2.0, with_scale=False, tolerance=1e-3)
-_WALLS_REFINED = 4
+_WALL_TRY = Effort(iterations=5, huber=2.0, with_scale=False, tolerance=1e-3)
+_WALLS_REFINED, _WALLS_FINISHED = 4, 2
 # A wall nearer than 1/25 of the height would be inside the robot.
 _NEAREST = 25.0
 
@@ -69,7 +69,9 @@ class FineRegistration:
         tried = [self._on(0, layer, candidate, _WALL_TRY) for candidate in starts]
         tried.sort(key=lambda alignment: -alignment.score)
         refined = [self._on(0, layer, a.displacement, _WALL_EFFORTS[0]) for a in tried[:_WALLS_REFINED]]
-        return self.align_wall(layer, max(refined, key=lambda alignment: alignment.score).displacement)
+        refined.sort(key=lambda alignment: -alignment.score)
+        finished = [self.align_wall(layer, a.displacement) for a in refined[:_WALLS_FINISHED]]
+        return max(finished, key=lambda alignment: alignment.score)
 
     def _through(self, layer: Layer, start: Displacement, efforts: Sequence[Effort]) -> Alignment:
         result = Alignment(start, -1.0)

@@ -31,8 +31,8 @@ _WALL_PARALLAX = 0.06
 _EXPLAINED, _SUSPICIOUS = 0.93, 0.80
 # What another wall must add to the correlation to be believed, and what the same one moved a little.
 _WALL_GAIN, _TUNING_GAIN = 0.03, 0.01
-# Frames to leave a wall alone that could not be bettered: tuning takes twice as long as tracking.
-_TUNING_REST = 10
+# Frames to leave walls alone after a look that bettered nothing, doubled each time: one takes ten times a tracking.
+_WALL_REST, _LONGEST_WALL_REST = 10, 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,46 +47,53 @@ class CeilingFix:
 class CeilingRegistration:
     """Registers frames with one target frame, lengths in ceiling heights; `reach` bounds the search from nothing.
 
-    Full fixes learn the wall the target stands at, if any, and all later ones use it.
+    Learns the wall the target stands at, if any, from the frames that it helps to explain.
     """
 
     def __init__(self, camera: CameraModel, target: Frame, reach: float) -> None:
         self._fine = FineRegistration(camera, target)
         self._coarse = CoarseRegistration(camera, target, reach)
         self._wall = NO_WALL
-        self._rest = 0
+        self._rest, self._patience = 0, _WALL_REST
 
     def fix(self, frame: Frame) -> CeilingFix:
         """From nothing."""
         coarse = self._coarse.fix(frame, self._wall)
-        layer, start = self._fine.layer(frame), self._displacement(coarse.yaw, coarse.u, coarse.v)
-        found = self._bettered(layer, self._fine.align(layer, start))
-        if self._unexplained(found, _SUSPICIOUS if self._wall != NO_WALL else _EXPLAINED):
-            found = self._better(found, self._fine.find_wall(layer, start), _WALL_GAIN)
-        return self._fix(found, coarse.margin)
+        self._rest = 0
+        return self._fix(frame, self._displacement(coarse.yaw, coarse.u, coarse.v), coarse.margin)
 
     def track(self, frame: Frame, expected: Pose2D) -> CeilingFix:
         """From an expected pose, right to about a tenth of the height; nothing else is tried, so the margin is 1."""
-        layer, start = self._fine.layer(frame), self._displacement(expected.yaw, expected.y, -expected.x)
-        return self._fix(self._bettered(layer, self._fine.align(layer, start)), 1.0)
+        self._rest = max(0, self._rest - 1)
+        return self._fix(frame, self._displacement(expected.yaw, expected.y, -expected.x), 1.0)
 
     def _displacement(self, yaw: float, u: float, v: float) -> Displacement:
         f = self._fine.focal
         return Displacement.of_pose(yaw, u * f, v * f, (self._wall[0] / f, self._wall[1] / f))
 
-    def _bettered(self, layer: Layer, found: Alignment) -> Alignment:
-        """What was found, or the same with the known wall moved a little where that explains the frame better."""
-        self._rest = max(0, self._rest - 1)
-        if self._wall == NO_WALL or self._rest > 0 or not self._unexplained(found, _EXPLAINED):
-            return found
-        better = self._better(found, self._fine.align_wall(layer, found.displacement), _TUNING_GAIN)
-        self._rest = _TUNING_REST if better is found else 0
-        return better
+    def _fix(self, frame: Frame, start: Displacement, margin: float) -> CeilingFix:
+        layer = self._fine.layer(frame)
+        found = self._fine.align(layer, start)
+        if self._rest == 0 and self._unexplained(found):
+            found = self._walled(layer, start, found)
+        yaw, u, v = found.displacement.pose()
+        return CeilingFix(Pose2D(-v / self._fine.focal, u / self._fine.focal, yaw), found.score, margin)
 
-    def _unexplained(self, found: Alignment, score: float) -> bool:
+    def _walled(self, layer: Layer, start: Displacement, found: Alignment) -> Alignment:
+        """What was found; or with the known wall moved a little, or another one, if that explains the frame better."""
+        best = found
+        if self._wall != NO_WALL:
+            best = self._better(found, self._fine.align_wall(layer, found.displacement), _TUNING_GAIN)
+        if self._wall == NO_WALL or best.score < _SUSPICIOUS:
+            best = self._better(best, self._fine.find_wall(layer, start), _WALL_GAIN)
+        self._patience = _WALL_REST if best is not found else min(2 * self._patience, _LONGEST_WALL_REST)
+        self._rest = self._patience if best is found else 0
+        return best
+
+    def _unexplained(self, found: Alignment) -> bool:
         """Whether a wall might explain more, and is seen from far enough away to tell."""
         parallax = math.hypot(found.displacement.u, found.displacement.v) / self._fine.focal
-        return parallax > _WALL_PARALLAX and found.score < score
+        return parallax > _WALL_PARALLAX and found.score < _EXPLAINED
 
     def _better(self, found: Alignment, walled: Alignment, gain: float) -> Alignment:
         """The one to believe; a wall believed is remembered."""
@@ -95,10 +102,6 @@ class CeilingRegistration:
         u, v = walled.displacement.wall
         self._wall = (u * self._fine.focal, v * self._fine.focal)
         return walled
-
-    def _fix(self, found: Alignment, margin: float) -> CeilingFix:
-        yaw, u, v = found.displacement.pose()
-        return CeilingFix(Pose2D(-v / self._fine.focal, u / self._fine.focal, yaw), found.score, margin)
 
 
 class DockRegistration:

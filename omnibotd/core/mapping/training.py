@@ -51,6 +51,7 @@ def train(
     linker.run(lambda share: progress("links", 0.62 + 0.25 * share))
     progress("refining", 0.87)
     poses = refined_poses(drive.views, linker)
+    poses -= poses[0]  # held there but for rounding
     poses[:, 2] = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
     progress("statistics", 0.92)
     edges = make_edges(poses, linker.links)

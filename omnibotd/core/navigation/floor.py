@@ -18,8 +18,9 @@ class DrivenFloor:
     """Raster of known-free floor made from node positions (N, 2) in metres."""
 
     def __init__(self, positions: NDArray[np.float32], corridor: float = CORRIDOR) -> None:
-        self._origin = positions.min(axis=0) - corridor - CELL
-        shape = np.ceil((positions.max(axis=0) - self._origin + corridor) / CELL).astype(int) + 2
+        border = 3.0 * corridor + CELL  # room for places beside the floor that was driven
+        self._origin = positions.min(axis=0) - border
+        shape = np.ceil((positions.max(axis=0) - self._origin + border) / CELL).astype(int)
         self._free = np.zeros((int(shape[0]), int(shape[1])), bool)
         cells = np.unique(self._cells(positions), axis=0)
         for offset in self._disc(corridor):
@@ -42,9 +43,16 @@ class DrivenFloor:
 
     def block(self, x: float, y: float, radius: float) -> None:
         """Take a disc out: something stands there."""
+        self._paint(x, y, radius, False)
+
+    def open(self, x: float, y: float, radius: float) -> None:
+        """Add a disc: somebody says that the robot can stand there."""
+        self._paint(x, y, radius, True)
+
+    def _paint(self, x: float, y: float, radius: float, free: bool) -> None:
         cells = self._cells(np.array([x, y])) + self._disc(radius)
         keep = np.all((cells >= 0) & (cells < self._free.shape), axis=-1)
-        self._free[cells[keep, 0], cells[keep, 1]] = False
+        self._free[cells[keep, 0], cells[keep, 1]] = free
 
     def _cells(self, points: NDArray[np.floating]) -> NDArray[np.int64]:
         cells = np.floor((np.asarray(points, np.float64) - self._origin) / CELL)

@@ -7,6 +7,7 @@ regression for the metric pose -> confidence.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from omnibotd.core.navigation.node_index import NodeIndex
 from omnibotd.core.navigation.trust import Sight, Trust, covered
 from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.camera_model import CameraModel
-from omnibotd.core.vision.descriptor import Descriptor, Harmonics, harmonics
+from omnibotd.core.vision.descriptor import Descriptor, Harmonics, correlate, harmonics
 from omnibotd.core.vision.frame import Frame
 from omnibotd.core.vision.view import View
 
@@ -33,6 +34,8 @@ _WORTH_PROPOSING = 0.15
 _BY_CHANCE = 0.55
 # Nodes round the likeliest poses are always compared, whatever the SOM says: tracking survives a change of light.
 _TRACKED, _LOCAL, _LOCAL_RADIUS = 3, 5, 0.4
+# Frames this near together (m) show nearly the same; correlating less, the robot was carried or its lens covered.
+_SAME_VIEW, _SAME_VIEW_WITHIN = 0.4, 0.2
 # A likeliest pose this far (m) from where the last one went is another one.
 _JUMP = 0.4
 # The margin is taken to the best candidate at least this far away (m).
@@ -42,10 +45,25 @@ _ELSEWHERE = 0.5
 _INDEPENDENT, _TURN_WORTH, _AT_REST = 0.15, 0.1, 0.1
 # Confidence is the belief that the pose is within this distance (m).
 _RIGHT = 0.25
-# Regression: fewest neighbours, how far it may pull, its standard deviation; that of the best node's own pose.
+# Regression: fewest neighbours, how far it may pull (m, rad).
 _FEWEST, _GATE, _TURN_GATE = 3, 0.25, 0.2
+# Spread reported (m) where nothing has been recognised yet.
+_UNKNOWN = 10.0
 # Regression errors repeat from frame to frame: never believe to be surer than this.
 _SURE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidates:
+    """Poses (C, 3) at which the view would fit a node, correlations (C,) and nodes (C,), best first."""
+
+    poses: Floats
+    scores: Floats
+    nodes: NDArray[np.intp]
+
+    @property
+    def best(self) -> float:
+        return float(self.scores.max(initial=-1.0))
 
 
 class Localizer:
@@ -61,28 +79,22 @@ class Localizer:
         self._hypotheses = Hypotheses()
         self._trust = Trust()
         self._odom: Pose2D | None = None
+        self._last_view: Harmonics | None = None
 
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. FrameError where the frame can't be used."""
         view = self._descriptor.view(frame)
         moved = self._move(odom_from_base)
-        poses, scores, nodes = self._candidates(view)
-        evidence = _AT_REST + (1.0 - _AT_REST) * (1.0 - math.exp(-moved / _INDEPENDENT))
-        tracked = self._hypotheses.poses[:1].copy()
-        if _best(scores) >= _RECOGNISED:
-            self._hypotheses.weigh(poses, scores, self._excused(), evidence)
-            self._propose(poses, scores)
+        query = harmonics(view)
+        continues = self._continues(query, moved)
+        candidates = self._candidates(view, query)
+        if candidates.best >= _RECOGNISED:
+            self._weigh(candidates, moved, continues)
         if not len(self._hypotheses):
-            return PlaceEstimate(frame.stamp, odom_from_base, Pose2D(), 0.0, math.inf, _best(scores), 0.0, -1)
-        if len(tracked) and np.hypot(*(self._hypotheses.poses[0] - tracked[0])[:2]) > _JUMP:
-            self._trust.start_again()
+            return PlaceEstimate(frame.stamp, odom_from_base, Pose2D(), 0.0, _UNKNOWN, candidates.best, 0.0, -1)
         fitted = self._sharpen(view)
-        return self._estimate(frame.stamp, odom_from_base, fitted, poses, scores, nodes, moved)
-
-    def _excused(self) -> Floats:
-        return np.array(
-            [_BY_CHANCE * (1.0 - covered(self._index.distance(x, y))) for x, y, _ in self._hypotheses.poses]
-        )
+        sight = self._judge(candidates, fitted, moved, continues)
+        return self._estimate(frame.stamp, odom_from_base, candidates, sight)
 
     def _move(self, odom_from_base: Pose2D) -> float:
         """Carry the hypotheses along; returns the motion in metres, turns included."""
@@ -91,21 +103,39 @@ class Localizer:
         self._hypotheses.move(step)
         return math.hypot(step.x, step.y) + _TURN_WORTH * abs(step.yaw)
 
-    def _candidates(self, view: View) -> tuple[Floats, Floats, NDArray[np.intp]]:
-        """Poses (C, 3), scores (C,) and nodes (C,) to be judged, best first: by looks, and near the likeliest poses."""
-        query: Harmonics = harmonics(view)
-        tracked = [
-            self._index.near(float(x), float(y), _LOCAL_RADIUS, _LOCAL) for x, y, _ in self._hypotheses.poses[:_TRACKED]
-        ]
+    def _continues(self, query: Harmonics, moved: float) -> bool:
+        """Whether this view can follow from the last one, after so little motion."""
+        last, self._last_view = self._last_view, query
+        if last is None or moved > _SAME_VIEW_WITHIN:
+            return True
+        return bool(correlate(query, last[None])[1][0] > _SAME_VIEW)
+
+    def _candidates(self, view: View, query: Harmonics) -> _Candidates:
+        """By looks, through the SOM; and round the likeliest poses."""
+        likeliest = self._hypotheses.poses[:_TRACKED, :2]
+        tracked = [self._index.near(float(x), float(y), _LOCAL_RADIUS, _LOCAL) for x, y in likeliest]
         nodes = np.unique(np.concatenate([self._index.alike(Descriptor.spectrum(view)), *tracked]))
         headings, scores = self._index.compare(query, nodes)
         order = np.argsort(-scores, kind="stable")
         poses = np.column_stack([self._index.poses[nodes, :2], headings]).astype(np.float64)
-        return poses[order], scores[order].astype(np.float64), nodes[order]
+        return _Candidates(poses[order], scores[order].astype(np.float64), nodes[order])
 
-    def _propose(self, poses: Floats, scores: Floats) -> None:
-        worthy = (scores > scores[0] - _WORTH_PROPOSING) & (scores >= _RECOGNISED)
-        self._hypotheses.propose(poses[worthy], scores[worthy])
+    def _weigh(self, seen: _Candidates, moved: float, continues: bool) -> None:
+        """Judge the hypotheses by the candidates, add new ones, and notice when another becomes the likeliest."""
+        tracked = self._hypotheses.poses[:1].copy()
+        evidence = _AT_REST + (1.0 - _AT_REST) * (1.0 - math.exp(-moved / _INDEPENDENT))
+        lost_sight = self._trust.broken or not continues
+        excused = np.zeros(len(self._hypotheses)) if lost_sight else self._excused()
+        self._hypotheses.weigh(seen.poses, seen.scores, excused, evidence)
+        worthy = (seen.scores > seen.best - _WORTH_PROPOSING) & (seen.scores >= _RECOGNISED)
+        self._hypotheses.propose(seen.poses[worthy], seen.scores[worthy])
+        if len(tracked) and np.hypot(*(self._hypotheses.poses[0] - tracked[0])[:2]) > _JUMP:
+            self._trust.start_again()
+
+    def _excused(self) -> Floats:
+        """(H,) support each hypothesis is granted unseen, for want of nodes."""
+        distances = [self._index.distance(float(x), float(y)) for x, y in self._hypotheses.poses[:, :2]]
+        return np.array([_BY_CHANCE * (1.0 - covered(distance)) for distance in distances])
 
     def _sharpen(self, view: View) -> float:
         """Correct the likeliest hypothesis by regression; returns how well the view predicted there fits, or -1."""
@@ -120,36 +150,28 @@ class Localizer:
         self._hypotheses.place(0, found.pose, max(found.sigma, _SURE))
         return found.score
 
-    def _estimate(
-        self,
-        stamp: float,
-        odom: Pose2D,
-        fitted: float,
-        poses: Floats,
-        scores: Floats,
-        nodes: NDArray[np.intp],
-        moved: float,
-    ) -> PlaceEstimate:
+    def _judge(self, seen: _Candidates, fitted: float, moved: float, continues: bool) -> Sight:
+        """What the frame says about the likeliest pose."""
+        x, y, _ = (float(value) for value in self._hypotheses.poses[0])
+        score = max(fitted, float(self._hypotheses.supported(seen.poses, seen.scores)[0]))
+        apart = np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y)
+        elsewhere = float(seen.scores[apart > _ELSEWHERE].max(initial=-1.0))
+        return Sight(score, elsewhere, self._index.distance(x, y), moved, continues)
+
+    def _estimate(self, stamp: float, odom: Pose2D, seen: _Candidates, sight: Sight) -> PlaceEstimate:
         x, y, yaw = (float(value) for value in self._hypotheses.poses[0])
-        apart = np.hypot(poses[:, 0] - x, poses[:, 1] - y)
-        score = max(fitted, float(self._hypotheses.supported(poses, scores)[0]))
-        elsewhere = float(scores[apart > _ELSEWHERE].max(initial=-1.0))
         sigma = float(self._hypotheses.sigmas[0])
-        trust = self._trust.update(Sight(score, elsewhere, self._index.distance(x, y), moved))
+        nearest = int(np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y).argmin())
         return PlaceEstimate(
             stamp,
             odom,
             Pose2D(x, y, yaw),
-            confidence=trust * self._hypotheses.share() * _within(sigma),
+            confidence=self._trust.update(sight) * self._hypotheses.share() * _within(sigma),
             sigma=sigma,
-            score=score,
-            margin=score - elsewhere,
-            node=int(nodes[int(apart.argmin())]),
+            score=sight.score,
+            margin=sight.score - sight.elsewhere,
+            node=int(seen.nodes[nearest]),
         )
-
-
-def _best(scores: Floats) -> float:
-    return float(scores.max(initial=-1.0))
 
 
 def _within(sigma: float) -> float:

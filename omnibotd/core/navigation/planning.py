@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
-from omnibotd.core.navigation.floor import DrivenFloor
+from omnibotd.core.navigation.floor import CORRIDOR, DrivenFloor
 
 # Metres charged for each link: of two ways equally long the one with fewer links has fewer errors.
 HOP_COST = 0.02
 # Nodes looked ahead along the route for a straight short cut: at one a decimetre, more than a room's diagonal.
 LOOK_AHEAD = 80
+JOIN = 0.25  # m; within the corridor, so that the way to the node is free
+BESIDE = 0.6  # m; a place so near to driven floor was reached by somebody, though not while teaching
 
 
 class Route:
@@ -25,13 +27,16 @@ class Route:
         self._goal = goal
         self._floor = floor
         self._positions = np.asarray(topo_map.poses[:, :2], np.float64)
-        self._cost, self._next = self._search(self._nearest(goal))
+        end = self._nearest(goal)
+        if topo_map.pose(end).distance(goal) < BESIDE:
+            floor.open(goal.x, goal.y, CORRIDOR)
+        self._cost, self._next = self._search(end) if floor.straight(goal, topo_map.pose(end)) else self._nowhere()
 
     def carrot(self, here: Pose2D) -> Pose2D | None:
         """The farthest point of the route that can be reached in a straight line; None where no route leads on."""
         if self._floor.straight(here, self._goal):
             return self._goal
-        node = self._nearest(here)
+        node = self._entry(here)
         if not np.isfinite(self._cost[node]):
             return None
         best = self._map.pose(node)
@@ -49,17 +54,29 @@ class Route:
         """Metres left to drive from here (straight where that is possible), inf where no route leads."""
         if self._floor.straight(here, self._goal):
             return here.distance(self._goal)
-        return float(self._cost[self._nearest(here)])
+        node = self._entry(here)
+        return float(self._cost[node]) + here.distance(self._map.pose(node))
+
+    def _entry(self, here: Pose2D) -> int:
+        """Where to join the route: of the nodes near by, the one with the least way to go through it.
+
+        The nearest alone would jump to and fro between links that lead round opposite ways.
+        """
+        away = np.hypot(self._positions[:, 0] - here.x, self._positions[:, 1] - here.y)
+        near = away < max(JOIN, float(away.min()) + 1e-6)
+        return int(np.argmin(np.where(near, away + self._cost, np.inf)))
 
     def _nearest(self, pose: Pose2D) -> int:
         away = np.hypot(self._positions[:, 0] - pose.x, self._positions[:, 1] - pose.y)
         return int(np.argmin(away))
 
+    def _nowhere(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        return np.full(len(self._map), np.inf), np.full(len(self._map), -1, np.int32)
+
     def _search(self, goal: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Dijkstra from the goal over links whose straight line is free, in both directions."""
         neighbours, lengths, starts = self._adjacency()
-        cost = np.full(len(self._map), np.inf)
-        following = np.full(len(self._map), -1, np.int32)
+        cost, following = self._nowhere()
         cost[goal] = 0.0
         queue = [(0.0, goal)]
         while queue:

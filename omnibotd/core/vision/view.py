@@ -60,18 +60,19 @@ class Viewer:
         self._cell_scale = np.where(self.seen, 1.0 / np.maximum(share, 0.25), 0.0).astype(np.float32)
         if self.seen.mean() < 0.3:
             raise FrameError(
-                f"camera model {camera.width}x{camera.height} px, fx {camera.fx:.0f}: only {self.seen.mean():.0%} "
-                "of what lies within 79 degrees of the vertical is in the image; check camera.calibration, camera.tilt and "
-                "camera.fov_deg"
+                f"camera model {camera.width}x{camera.height} px, fx {camera.fx:.0f}: only {self.seen.mean():.0%} of "
+                "what lies within 79 degrees of the vertical is in the image; check camera.calibration, "
+                "camera.tilt and camera.fov_deg"
             )
 
     def texture(self, frame: Frame) -> View:
         """(RINGS, SECTORS) relative gradient; zero where the camera doesn't see. FrameError: wrong size."""
         grey = frame.grey(self.reduction)
         if grey.shape != self._size:
+            (height, width), k = grey.shape, self.reduction
             raise FrameError(
-                f"frame is about {grey.shape[1] * self.reduction}x{grey.shape[0] * self.reduction} px, the camera "
-                f"model is for {self._size[1] * self.reduction}x{self._size[0] * self.reduction}: calibrate at the size used"
+                f"frame is about {width * k}x{height * k} px, the camera model is for "
+                f"{self._size[1] * k}x{self._size[0] * k}: calibrate at the size that is used"
             )
         samples = cv2.remap(relative_gradient(grey), self._u, self._v, cv2.INTER_LINEAR)
         return np.asarray(_cell_means(np.asarray(samples, np.float32)) * self._cell_scale, np.float32)

@@ -30,7 +30,7 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
 
 
 def seen_from(yaw: float, u: float, v: float, scale: float = 1.0) -> Layer:
-    """The view of a camera that stands at (u, v) in the target view, turned by yaw: p_target = R(yaw) p / scale + (u, v)."""
+    """The view of a camera at (u, v) of the target view, turned by yaw: p_target = R(yaw) p / scale + (u, v)."""
     x, y = grid()
     c, s = math.cos(yaw), math.sin(yaw)
     return Layer(pattern((c * x - s * y) / scale + u, (s * x + c * y) / scale + v), FULL)
@@ -122,6 +122,6 @@ def test_the_shift_search_finds_the_shift_of_a_turned_view(u: int, v: int) -> No
     plane = cv2.GaussianBlur(rng.normal(size=(200, 200)).astype(np.float32), (0, 0), 2.0)
     target = Layer(plane[70:130, 70:130].copy(), FULL[:60, :60])
     moved = Layer(np.rot90(plane[70 + v : 130 + v, 70 + u : 130 + u]).copy(), FULL[:60, :60])
-    # np.rot90 turns the picture counter-clockwise as seen, which is the view of a camera turned by +90 degrees (u to v).
+    # np.rot90 turns the picture counter-clockwise as seen: the view of a camera turned by +90 degrees (u to v).
     best = ShiftSearch(target, 20.0).find(moved, math.pi / 2)[0]
     assert (best.u, best.v) == pytest.approx((u, v), abs=1.0)

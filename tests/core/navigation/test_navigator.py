@@ -120,6 +120,16 @@ def test_no_way_to_a_goal_on_an_island() -> None:
     assert decision.outcome.error is ErrorName.NO_ROUTE
 
 
+def test_a_goal_far_from_driven_floor_is_refused_and_one_just_beside_it_reached() -> None:
+    decision = IdealTrip(OPEN, Pose2D(1.0, 1.0, 0.0), Pose2D(5.0, 5.0, 0.0)).run()
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.NO_ROUTE
+    beside = Pose2D(3.45, 1.5, 0.0)
+    trip = IdealTrip(OPEN, Pose2D(1.0, 1.0, 0.0), beside)
+    trip.run()
+    assert trip.pose.distance(beside) < 0.05
+
+
 def test_lost_it_looks_around_on_the_spot_and_then_says_so() -> None:
     trip = IdealTrip(OPEN, Pose2D(1.0, 1.0, 0.0), Pose2D(2.0, 2.0, 0.0))
     trip.confidence = lambda: 0.1

@@ -20,7 +20,9 @@ def lens_picture(cx: float, cy: float, radius: float, seed: int = 0, noise: floa
 
 
 @pytest.mark.parametrize(
-    ("cx", "cy", "radius"), [(319.5, 239.5, 240.0), (330.0, 228.0, 200.0), (305.0, 250.0, 290.0)], ids=["fits", "small", "cut"]
+    ("cx", "cy", "radius"),
+    [(319.5, 239.5, 240.0), (330.0, 228.0, 200.0), (305.0, 250.0, 290.0)],
+    ids=["fits", "small", "cut"],
 )
 def test_finds_centre_and_radius(cx: float, cy: float, radius: float) -> None:
     found = image_circle.find([lens_picture(cx, cy, radius, seed) for seed in range(3)])

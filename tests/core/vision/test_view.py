@@ -54,7 +54,7 @@ def test_sector_is_bearing_and_ring_is_zenith_angle(bearing: float) -> None:
         replace(CAMERA, tilt=(0.2, -0.1)),
         replace(CAMERA, mount_yaw=2.0),
         replace(CAMERA, cx=300.0, cy=250.0, fx=120.0, fy=120.0),
-        replace(CAMERA, distortion=(0.03, -0.005, 0.0, 0.0), fov=math.radians(180.0)),
+        replace(CAMERA, distortion=(-0.15, 0.03, 0.0, 0.0), fov=math.radians(180.0)),
     ],
     ids=["tilt", "mount_yaw", "centre", "distortion"],
 )
@@ -99,6 +99,8 @@ def test_a_camera_that_sees_no_sky_is_refused() -> None:
         Viewer(replace(CAMERA, tilt=(2.5, 0.0)))
 
 
-@pytest.mark.parametrize(("width", "height", "reduction"), [(160, 120, 1), (320, 240, 2), (640, 480, 4), (1280, 960, 8)])
+@pytest.mark.parametrize(
+    ("width", "height", "reduction"), [(160, 120, 1), (320, 240, 2), (640, 480, 4), (1280, 960, 8)]
+)
 def test_frames_are_decoded_at_the_size_the_view_needs(width: int, height: int, reduction: int) -> None:
     assert reduction_for(CameraModel.equidistant(width, height, math.radians(190.0))) == reduction
