@@ -1,4 +1,4 @@
-"""What a base driver tells its user; SI units, vendor signs already turned (REP-103: left and right as the robot sees)."""
+"""What a base driver tells its user: SI units, vendor signs already turned (REP-103, left as the robot sees it)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""The main job, as a newcomer would do it: a simulated robot is driven round a room once, and from then on goes where it
-is told and docks itself (launcher: tools/demo).
+"""The main job, as a newcomer would do it (launcher: tools/demo).
+
+A simulated robot is driven round a room once, and from then on goes where it is told and docks itself.
 
 The daemon is the real one, started as a user starts it, against a real pty and a real MJPEG stream; every command is
 given through omnibotctl. Only the person who drives is simulated: they see where the robot truly is.
@@ -32,18 +33,19 @@ GOTO_LIMIT = 0.25  # m
 DOCK_LIMIT, DOCK_LIMIT_DEG = 0.03, 2.0  # m, degrees
 SPEED = 0.4  # m/s, the base's top speed in this demonstration
 # m: four lanes, then two across them, so that the drive meets its own way again and the map can be pulled straight.
-TOUR = ((-0.6, -1.2), (2.1, -1.2), (2.1, -0.6), (-0.6, -0.6), (-0.6, 0.0), (2.1, 0.0), (2.1, 0.6), (-0.6, 0.6)) + (
-    (0.2, 0.6),
-    (0.2, -1.2),
-    (1.3, -1.2),
-    (1.3, 0.6),
-)
+LANES = ((-0.6, -1.2), (2.1, -1.2), (2.1, -0.6), (-0.6, -0.6), (-0.6, 0.0), (2.1, 0.0), (2.1, 0.6), (-0.6, 0.6))
+TOUR = (*LANES, (0.2, 0.6), (0.2, -1.2), (1.3, -1.2), (1.3, 0.6))
 PLACES = {"desk": Pose2D(-0.4, 0.5, 2.2), "sofa": Pose2D(0.6, -1.0, -1.0), "shelf": Pose2D(1.8, 0.3, 0.6)}
 RUN_UP = 0.6  # m straight ahead into the dock
 
 CONFIG = """\
 camera: {{source: "{camera}"}}
-base: {{driver: omnibot, port: "{port}", max_linear_velocity: {speed}, max_linear_acceleration: 0.8, max_angular_velocity: 1.5}}
+base:
+  driver: omnibot
+  port: "{port}"
+  max_linear_velocity: {speed}
+  max_linear_acceleration: 0.8
+  max_angular_velocity: 1.5
 storage: {{directory: "{out}/state"}}
 control: {{socket: "{socket}", group: }}
 """

@@ -1,4 +1,4 @@
-"""What the daemon costs: memory, processor share and lateness of its loop, at rest and on a trip (launcher: tools/footprint).
+"""What the daemon costs in memory, processor and lateness, at rest and on a trip (launcher: tools/footprint).
 
 The map is made from pictures rendered along a random drive. The daemon is the real one, against the simulated robot in
 real time; its figures are read from /proc and from its own `status`.

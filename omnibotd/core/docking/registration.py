@@ -59,12 +59,10 @@ class CeilingRegistration:
     def fix(self, frame: Frame) -> CeilingFix:
         """From nothing."""
         coarse = self._coarse.fix(frame, self._wall)
-        self._rest = 0
         return self._fix(frame, self._displacement(coarse.yaw, coarse.u, coarse.v), coarse.margin)
 
     def track(self, frame: Frame, expected: Pose2D) -> CeilingFix:
         """From an expected pose, right to about a tenth of the height; nothing else is tried, so the margin is 1."""
-        self._rest = max(0, self._rest - 1)
         return self._fix(frame, self._displacement(expected.yaw, expected.y, -expected.x), 1.0)
 
     def _displacement(self, yaw: float, u: float, v: float) -> Displacement:
@@ -74,6 +72,7 @@ class CeilingRegistration:
     def _fix(self, frame: Frame, start: Displacement, margin: float) -> CeilingFix:
         layer = self._fine.layer(frame)
         found = self._fine.align(layer, start)
+        self._rest = max(0, self._rest - 1)
         if self._rest == 0 and self._unexplained(found):
             found = self._walled(layer, start, found)
         yaw, u, v = found.displacement.pose()

@@ -1,4 +1,4 @@
-"""The map: very many nodes indexed by a self-organising map, links between them, named places and docks (thesis §6.2-6.3).
+"""The map: very many nodes indexed by a self-organising map, links, named places and docks (thesis §6.2-6.3).
 
 Immutable: every edit returns another map, so that perception can work on a snapshot while the control tick edits.
 """
@@ -26,8 +26,8 @@ class EdgeKind(IntEnum):
 
 @dataclass(frozen=True)
 class Edges:
-    """Links (M): node indices `first`, `second` (M,) int32; `kind` (M,) uint8; `offset` (M, 2) m and `variance` (M,) m^2 in
-    map axes, from first to second."""
+    """Links (M): node indices `first`, `second` (M,) int32; `kind` (M,) uint8; from first to second, in map axes,
+    `offset` (M, 2) m and `variance` (M,) m^2."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
@@ -54,7 +54,8 @@ class TopoMap:
     codebook (U, F) float32, on a square torus of sqrt(U) x sqrt(U); `units` (N,) best matching unit of each node;
     `snapshots` (N, rings * sectors / 2) uint8, two 4-bit cells a byte; `poses` (N, 3) float32 map_from_base;
     `sessions` (N,) number of the teaching drive. `ceiling_height` is metres from camera to ceiling as measured while
-    teaching (NaN where unknown). `recording` is the file it was taught from. `camera` names the calibration the map was taught with, to refuse another one's.
+    teaching (NaN where unknown). `camera` names the calibration the map was taught with, to refuse another one's;
+    `recording` is the file it was taught from.
     """
 
     name: str
