@@ -45,7 +45,7 @@ class CameraConfig:
     height: int = option("Height of the image.", 480, unit="px", low=120, high=4096)
     fps: float = option("Frames a second to ask of the camera.", 15.0, unit="1/s", low=2.0, high=120.0)
     calibration: Path | None = option(
-        "Calibration file in the ROS camera_info layout, as `omnibotctl calibrate camera` writes it. "
+        "Calibration file in the ROS camera_info layout, distortion model equidistant (OpenCV fisheye). "
         "Without it the lens is taken as equidistant, from fov_deg and the image circle. "
         "A relative path counts from this file.",
         None,
@@ -63,7 +63,7 @@ class CameraConfig:
     )
     tilt: tuple[float, float] = option(
         "Tilt of the optical axis, a rotation vector: about the direction of the image's top, then about the "
-        "one to the left of that. `omnibotctl calibrate spin` measures it.",
+        "one to the left of that.",
         (0.0, 0.0),
         unit="rad",
         low=-0.5,
@@ -142,9 +142,6 @@ class DockingConfig:
     """Docking."""
 
     max_retries: int = option("Times to back out and approach again before giving up.", 3, low=0, high=20)
-    staging_distance: float = option(
-        "Distance before the dock from which the approach starts.", 0.5, unit="m", low=0.2, high=2.0
-    )
     ceiling_height: float | None = option(
         "Height of the ceiling above the camera at the dock; left out, it is measured from the robot's own motion.",
         None,

@@ -81,9 +81,12 @@ class Perception:
             if self._control.recorder is not None:
                 await self._record(frame, odom_from_base)
             await self._estimate(frame, odom_from_base)
+            self.reason = ""
         except CoreError as error:
-            self.failures, self.reason = self.failures + 1, str(error)
-            log.warning("frame not used: %s", error)
+            self.failures += 1
+            if str(error) != self.reason:  # once, not ten times a second
+                log.warning("frame not used: %s", error)
+            self.reason = str(error)
 
     async def _learn_camera(self, frame: Frame) -> None:
         """The lens from the calibration file, else from the image circle found in the first frames."""

@@ -62,7 +62,7 @@ def load_calibration(path: Path, fov: float = math.radians(190.0)) -> CameraMode
     except OSError as error:
         raise CameraModelError(f"{path}: can't be read: {error.strerror}") from error
     except (CoreError, yaml.YAMLError, UnicodeDecodeError) as error:
-        raise CameraModelError(f"{path}: {error}; make it anew with `omnibotctl calibrate camera`") from error
+        raise CameraModelError(f"{path}: {error}; calibrate the camera anew") from error
     return model
 
 

@@ -138,6 +138,7 @@ class Jobs:
             self._robot.control.goal_filter,
             self._robot.control.limits,
             tolerance,
+            self._robot.config.base.robot_radius,
             PERIOD,
         )
         return navigator

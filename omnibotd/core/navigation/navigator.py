@@ -34,7 +34,7 @@ BACK_OFF = 0.15  # m straight back after a bump
 BACK_OFF_SPEED = 0.1  # m/s
 BACK_OFF_TIME = 3.0  # s; twice what it takes: something stands behind as well
 MAX_RECOVERIES = 6
-BUMP_REACH = 0.2  # m from the robot's centre to what it touched, and the radius then avoided
+BUMP_SIDE = math.radians(35)  # to the side from straight ahead, where one bumper alone was pressed
 PATIENCE = 60.0  # s, and as much again for each metre of the route at a twentieth of a metre a second
 SLOWEST = 0.05  # m/s
 
@@ -64,12 +64,14 @@ class Navigator:
         goal_filter: GoalFilter,
         limits: Limits,
         tolerance: Tolerance,
+        robot_radius: float,
         period: float,
     ) -> None:
         self._goal = goal
         self._filter = goal_filter
         self._limits = limits
         self._tolerance = tolerance
+        self._radius = robot_radius
         self._window = DynamicWindow(limits, period)
         self._floor = DrivenFloor(topo_map.poses[:, :2])
         self._map = topo_map
@@ -195,10 +197,9 @@ class Navigator:
         if self._recoveries > MAX_RECOVERIES:
             message = f"something is in the way; gave up after {MAX_RECOVERIES} tries round it"
             return self._decide(STOP, Outcome(ErrorName.BLOCKED, message))
-        side = math.radians(35) * (int(seen.bumper_left) - int(seen.bumper_right))
-        heading = here.yaw + side
-        x, y = here.x + BUMP_REACH * 1.5 * math.cos(heading), here.y + BUMP_REACH * 1.5 * math.sin(heading)
-        self._floor.block(x, y, BUMP_REACH)
+        touched = here @ Pose2D(yaw=BUMP_SIDE * (int(seen.bumper_left) - int(seen.bumper_right)))
+        # Of what stands there only the edge is known: a disc as large as the robot, beyond the point of touch.
+        self._floor.block(*touched.transform(1.75 * self._radius, 0.0), 1.2 * self._radius)
         self._route = Route(self._map, self._goal, self._floor)
         self.state, self._back_from = NavigatorState.BACKING_OFF, (seen.stamp, seen.odom_from_base)
         return self._decide(Twist2D(-BACK_OFF_SPEED, 0.0))

@@ -56,7 +56,7 @@ class IdealTrip:
 
     def __init__(self, topo_map: TopoMap, start: Pose2D, goal: Pose2D) -> None:
         self.goal_filter = GoalFilter()
-        self.navigator = Navigator(topo_map, goal, self.goal_filter, LIMITS, Tolerance(0.05, 0.05), PERIOD)
+        self.navigator = Navigator(topo_map, goal, self.goal_filter, LIMITS, Tolerance(0.05, 0.05), 0.17, PERIOD)
         self.gate = SafetyGate(LIMITS)
         self.pose, self.start, self.time = start, start, 0.0
         self.path = [start]
