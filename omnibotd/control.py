@@ -144,7 +144,7 @@ class ControlLoop:
                     self.events({"event": "base_connected", "driver": info.driver, "board": info.board})
                 case Disconnected(reason):
                     self._base_lost = True
-                    log.warning("base disconnected: %s", reason)
+                    log.info("base not connected: %s", reason)
                     self.events({"event": "base_disconnected", "reason": reason})
 
     # ---- the loop

@@ -36,12 +36,20 @@ def train_and_save(recording: Path, name: str, store: MapStore, model: CameraMod
     fresh = replace(fresh, recording=recording.name)
     names = {entry.name for entry in store.list() if entry.bytes}
     if name in names:
-        old = store.load(name)
-        if old.recording == fresh.recording:
-            fresh = replace(fresh, places=old.places, docks=old.docks)
-        else:
-            store.save(replace(old, name=next(n for k in count(1) if (n := f"{name}-{k}") not in names)))
+        fresh = _succeed(store, fresh, names)
     store.save(fresh)
+    return fresh
+
+
+def _succeed(store: MapStore, fresh: TopoMap, names: set[str]) -> TopoMap:
+    """What the map saved under this name hands on. A damaged one hands on nothing; the store puts it aside."""
+    try:
+        old = store.load(fresh.name)
+    except MapStoreError:
+        return fresh
+    if old.recording == fresh.recording:
+        return replace(fresh, places=old.places, docks=old.docks)
+    store.save(replace(old, name=next(name for k in count(1) if (name := f"{fresh.name}-{k}") not in names)))
     return fresh
 
 

@@ -21,22 +21,32 @@ class Job(Protocol):
 
 
 class DockingTrip:
-    """`goto` the staging pose, then dock (thesis §7.5: the two tiers as one whole)."""
+    """`goto` the staging pose, then dock (thesis §7.5: the two tiers as one whole).
+
+    A robot that the map can't place may still stand within sight of the dock, beside the floor that was driven: it
+    looks for the dock from where it is before the trip counts as failed.
+    """
 
     def __init__(self, navigator: Navigator, docker: Docker) -> None:
         self._navigator: Navigator | None = navigator
         self._docker = docker
+        self._unstaged: Outcome | None = None
 
     def step(self, seen: Observation) -> Decision:
         if self._navigator is None:
-            return self._docker.step(seen)
+            return self._dock(seen)
         decision = replace(self._navigator.step(seen), state="NAV_TO_STAGING_POSE")
         if decision.outcome is None:
             return decision
-        if decision.outcome.error is None:
-            self._navigator = None
-            return replace(decision, outcome=None)
         if decision.outcome.error in _STAGING_FAILURES:
             message = f"did not reach the staging pose: {decision.outcome.error}, {decision.outcome.message}"
-            return replace(decision, outcome=Outcome(ErrorName.FAILED_TO_STAGE, message))
-        return decision
+            self._unstaged = Outcome(ErrorName.FAILED_TO_STAGE, message)
+        if decision.outcome.error in (None, ErrorName.LOST):
+            self._navigator = None
+            return replace(decision, outcome=None)
+        return replace(decision, outcome=self._unstaged or decision.outcome)
+
+    def _dock(self, seen: Observation) -> Decision:
+        decision = self._docker.step(seen)
+        unseen = decision.outcome is not None and decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
+        return replace(decision, outcome=self._unstaged) if unseen and self._unstaged else decision

@@ -74,6 +74,7 @@ def read_drive(
     contrasts: list[float] = []
     last_look: Pose2D | None = None
     count, total = 0, len(samples) if isinstance(samples, Sized) else 0
+    ending: tuple[Pose2D, NDArray[np.float32]] | None = None
     for sample in samples:
         count += 1
         if total and count % 50 == 0:
@@ -88,6 +89,12 @@ def read_drive(
         if not nodes or _moved(nodes[-1], sample.odom_from_base, NODE_SPACING, NODE_TURN):
             nodes.append(sample.odom_from_base)
             views.append(view)
+            ending = None
+        else:
+            ending = sample.odom_from_base, view
+    if ending is not None:  # a drive often ends where it matters: in the dock
+        nodes.append(ending[0])
+        views.append(ending[1])
     return Drive(
         count,
         np.array(spectra, np.float32),

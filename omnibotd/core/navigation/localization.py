@@ -7,7 +7,7 @@ regression for the metric pose -> confidence.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,9 @@ _RIGHT = 0.25
 _FEWEST, _GATE, _TURN_GATE = 3, 0.25, 0.2
 # Spread reported (m) where nothing has been recognised yet.
 _UNKNOWN = 10.0
+# A robot that stands sees the same again and again: after so many frames nothing is left to learn, and to go on would
+# turn one view's error into certainty. It stands as long as odometry (m, rad) and view stay the same.
+_SETTLED, _STOOD, _STOOD_TURN, _UNCHANGED = 5, 0.002, 0.005, 0.85
 # Regression errors repeat from frame to frame: never believe to be surer than this.
 _SURE = 0.02
 
@@ -66,6 +69,21 @@ class _Candidates:
         return float(self.scores.max(initial=-1.0))
 
 
+@dataclass
+class _Rest:
+    """A stretch of standing still: the view and the odometry at its beginning."""
+
+    view: Harmonics
+    odom_from_base: Pose2D
+    frames: int = 0
+
+    def lasts(self, query: Harmonics, odom_from_base: Pose2D) -> bool:
+        step = self.odom_from_base.inverse() @ odom_from_base
+        if math.hypot(step.x, step.y) > _STOOD or abs(step.yaw) > _STOOD_TURN:
+            return False
+        return bool(correlate(query, self.view[None])[1][0] > _UNCHANGED)
+
+
 class Localizer:
     """Tracks the base in one map. Not thread-safe: one update at a time."""
 
@@ -80,12 +98,16 @@ class Localizer:
         self._trust = Trust()
         self._odom: Pose2D | None = None
         self._last_view: Harmonics | None = None
+        self._rest: _Rest | None = None
+        self._latest: PlaceEstimate | None = None
 
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. FrameError where the frame can't be used."""
         view = self._descriptor.view(frame)
         moved = self._move(odom_from_base)
         query = harmonics(view)
+        if self._latest is not None and self._settled(query, odom_from_base):
+            return replace(self._latest, stamp=frame.stamp, odom_from_base=odom_from_base)
         continues = self._continues(query, moved)
         candidates = self._candidates(view, query)
         if candidates.best >= _RECOGNISED:
@@ -94,7 +116,17 @@ class Localizer:
             return PlaceEstimate(frame.stamp, odom_from_base, Pose2D(), 0.0, _UNKNOWN, candidates.best, 0.0, -1)
         fitted = self._sharpen(view)
         sight = self._judge(candidates, fitted, moved, continues)
-        return self._estimate(frame.stamp, odom_from_base, candidates, sight)
+        self._latest = self._estimate(frame.stamp, odom_from_base, candidates, sight)
+        return self._latest
+
+    def _settled(self, query: Harmonics, odom_from_base: Pose2D) -> bool:
+        """Whether the base has stood under one view for long enough."""
+        rest = self._rest
+        if rest is None or not rest.lasts(query, odom_from_base):
+            self._rest = _Rest(query, odom_from_base)
+            return False
+        rest.frames += 1
+        return rest.frames > _SETTLED
 
     def _move(self, odom_from_base: Pose2D) -> float:
         """Carry the hypotheses along; returns the motion in metres, turns included."""
