@@ -29,7 +29,7 @@ ROBOT: Colour = (60, 150, 40)
 INK: Colour = (60, 60, 60)
 GRID: Colour = (228, 228, 228)
 
-LONG_SIDE = 1000  # px of the map itself
+LONG_SIDE = 900  # px of the map itself
 MARGIN = 60
 LEGEND = 230
 FLOOR_RADIUS = 0.3  # m, as far as the robot takes the floor to be free beside where it was driven
@@ -103,11 +103,11 @@ def draw(topo_map: TopoMap, robot: Pose2D | None, paths: Sequence[Path]) -> Canv
 
 def _grid(canvas: Canvas, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
     """Lines every metre with their coordinates."""
-    for x in range(math.floor(low[0]), math.ceil(high[0]) + 1):
+    for x in range(math.ceil(low[0] - FLOOR_RADIUS), math.floor(high[0] + FLOOR_RADIUS) + 1):
         canvas.line([(x, low[1] - FLOOR_RADIUS), (x, high[1] + FLOOR_RADIUS)], GRID)
         px, py = canvas.at(x, low[1] - FLOOR_RADIUS)
         canvas.text(px - 12, py + 22, f"{x} m", INK, 0.4)
-    for y in range(math.floor(low[1]), math.ceil(high[1]) + 1):
+    for y in range(math.ceil(low[1] - FLOOR_RADIUS), math.floor(high[1] + FLOOR_RADIUS) + 1):
         canvas.line([(low[0] - FLOOR_RADIUS, y), (high[0] + FLOOR_RADIUS, y)], GRID)
         px, py = canvas.at(low[0] - FLOOR_RADIUS, y)
         canvas.text(px - 38, py + 4, f"{y} m", INK, 0.4)
@@ -151,6 +151,6 @@ def _legend(canvas: Canvas, topo_map: TopoMap, robot: Pose2D | None, paths: Sequ
         cv2.rectangle(canvas.image, (x, y - 10), (x + 18, y + 2), colour, -1)
         canvas.text(x + 28, y, label, INK, 0.45)
         y += 26
-    metre = round(canvas.scale)
-    cv2.line(canvas.image, (x, y + 20), (x + min(metre, LEGEND - 40), y + 20), INK, 2)
-    canvas.text(x, y + 42, "1 m" if metre <= LEGEND - 40 else f"{(LEGEND - 40) / metre:.2f} m", INK, 0.45)
+    bar = next(length for length in (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1) if length * canvas.scale <= LEGEND - 40)
+    cv2.line(canvas.image, (x, y + 20), (x + round(bar * canvas.scale), y + 20), INK, 2)
+    canvas.text(x, y + 42, f"{bar:g} m", INK, 0.45)

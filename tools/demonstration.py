@@ -32,11 +32,17 @@ from omnibotd.io.map_store import MapStore
 GOTO_LIMIT = 0.25  # m
 DOCK_LIMIT, DOCK_LIMIT_DEG = 0.03, 2.0  # m, degrees
 SPEED = 0.4  # m/s, the base's top speed in this demonstration
-# m: four lanes, then two across them, so that the drive meets its own way again and the map can be pulled straight.
-LANES = ((-0.6, -1.2), (2.1, -1.2), (2.1, -0.6), (-0.6, -0.6), (-0.6, 0.0), (2.1, 0.0), (2.1, 0.6), (-0.6, 0.6))
-TOUR = (*LANES, (0.2, 0.6), (0.2, -1.2), (1.3, -1.2), (1.3, 0.6))
-PLACES = {"desk": Pose2D(-0.4, 0.5, 2.2), "sofa": Pose2D(0.6, -1.0, -1.0), "shelf": Pose2D(1.8, 0.3, 0.6)}
+# m: three lanes, then two across them, so that the drive meets its own way again and the map can be pulled straight.
+LANES = ((-0.6, -1.2), (2.1, -1.2), (2.1, -0.5), (-0.6, -0.5), (-0.6, 0.2), (2.1, 0.2))
+TOUR = (*LANES, (0.2, 0.2), (0.2, -1.2), (1.3, -1.2), (1.3, 0.2))
+PLACES = {"desk": Pose2D(-0.4, 0.1, 2.2), "sofa": Pose2D(0.6, -1.0, -1.0), "shelf": Pose2D(1.8, 0.0, 0.6)}
 RUN_UP = 0.6  # m straight ahead into the dock
+
+WAYS = (  # BGR
+    ("driven to teach", (150, 150, 150)),
+    ("driven to name places", (215, 195, 120)),
+    ("gone by itself", (20, 120, 240)),
+)
 
 CONFIG = """\
 camera: {{source: "{camera}"}}
@@ -139,21 +145,23 @@ class Demonstration:
         self._eyes = Simulator(camera)
         self._truth: dict[str, Pose2D] = {}  # true poses at which places were saved
         self._results: list[Result] = []
+        self._chapters: list[float] = []  # monotonic seconds at which the next began
 
     def run(self) -> list[Result]:
         self._wait_until_ready()
         stick = Stick(self._path, self._eyes)
-        began = time.monotonic()
+        self._chapters.append(time.monotonic())
         self._ctl("record", "start", "home")
         for point in TOUR:
             stick.to(point, near=0.15)
         stick.park(self._dock)
         self._ctl("record", "stop")
-        say(f"driven round once, {time.monotonic() - began:.0f} s")
+        say(f"driven round once, {time.monotonic() - self._chapters[0]:.0f} s")
         self._ctl("train", "home")
         self._ctl("map", "use", "home")
         self._save_places(stick)
         stick.close()
+        self._chapters.append(time.monotonic())
         for name in ("sofa", "shelf", "desk"):  # the robot stands at the desk: each trip has another start
             self._go(name)
         self._go_home()
@@ -162,6 +170,7 @@ class Demonstration:
 
     def _save_places(self, stick: Stick) -> None:
         """The robot still stands in its dock: save that, then show it the places."""
+        self._chapters.append(time.monotonic())
         self._wait_until_sure()
         self._ctl("dock", "save", "home")
         self._truth["home"] = self._eyes.pose()
@@ -232,10 +241,12 @@ class Demonstration:
         poses = {**topo_map.places, **{name: dock.map_from_dock for name, dock in topo_map.docks.items()}}
         names = sorted(poses)
         to_map = fit([self._truth[name] for name in names], [poses[name] for name in names])
-        track = [to_map.transform(line["x"], line["y"]) for line in map(json.loads, truth.read_text().splitlines())]
-        png = map_plot.plot_png(
-            topo_map, to_map @ self._eyes.pose(), [map_plot.Path(track, (60, 60, 230), "way truly driven")]
-        )
+        lines = [json.loads(line) for line in truth.read_text().splitlines()]
+        ways = []
+        for (label, colour), begin, end in zip(WAYS, self._chapters, [*self._chapters[1:], math.inf], strict=True):
+            points = [to_map.transform(line["x"], line["y"]) for line in lines if begin <= line["stamp"] < end]
+            ways.append(map_plot.Path(points, colour, label))
+        png = map_plot.plot_png(topo_map, to_map @ self._eyes.pose(), ways)
         path = self._out / "map.png"
         path.write_bytes(png)
         return path
