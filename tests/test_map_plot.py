@@ -4,7 +4,7 @@ import pytest
 
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import EdgeKind, Edges, TopoMap
-from omnibotd.map_plot import NODE, PLACE, ROBOT, Path, plot_png
+from omnibotd.map_plot import FLOOR_RADIUS, LONG_SIDE, NODE, PLACE, ROBOT, Path, plot_png
 
 
 def line_map(length: float) -> TopoMap:
@@ -46,4 +46,5 @@ def test_places_and_robot_stand_where_they_are() -> None:
     nodes, place, robot = (columns(image, colour) for colour in (NODE, PLACE, ROBOT))
     assert abs(int(np.median(robot)) - nodes.min()) < 25
     assert abs(int(np.median(place)) - nodes.max()) < 60  # its name stands to the right
-    assert len(columns(image, (1, 2, 3))) == pytest.approx((nodes.max() - nodes.min()) / 3.9, abs=8)
+    width = 3.9 + 4 * FLOOR_RADIUS  # m: the nodes, and twice the floor beside them on either side
+    assert len(columns(image, (1, 2, 3))) == pytest.approx(LONG_SIDE / width, abs=5)
