@@ -15,7 +15,7 @@ from omnibotd import cli_output
 from omnibotd.cli_output import LiveLine
 from omnibotd.control_client import Client, NoDaemon, RemoteError
 from omnibotd.control_protocol import CANCELLED, JOB_FAILED
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 
 _REPEAT = 0.1  # s between set-points; the daemon forgets one after half a second or so
 _WATCH = 1.0  # s between pictures of `status --watch`

@@ -12,7 +12,8 @@ from typing import Any
 
 from firmware_bridge.events import Connected, Disconnected, Telemetry
 from omnibotd.config import Config
-from omnibotd.core.decision import Decision, ErrorName, HomingRequest, Observation, Outcome
+from omnibotd.core.decision import Decision, HomingRequest, Observation, Outcome
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D
 from omnibotd.core.jobs import Job
 from omnibotd.core.kinematics import DifferentialDrive

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from omnibotd import control_protocol as protocol
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 
 PATIENCE = 5.0  # s of silence after which the daemon is asked for its status; as long again and it is given up
 _TICK = 1.0  # s between calls of `on_wait`

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 
 MAX_LINE = 64 * 1024  # bytes; the longest sensible request is a few hundred, and 32 clients may each hold one line
 _MAX_ID_LENGTH = 128  # an id comes back in every feedback line: a long one would multiply

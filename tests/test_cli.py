@@ -21,7 +21,7 @@ import pytest
 
 from omnibotd import cli, cli_output, control_client
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.io.control_server import ControlServer, Session
 
 Params = dict[str, Any]

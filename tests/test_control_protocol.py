@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from omnibotd import control_protocol as protocol
 from omnibotd.control_protocol import LineDecoder, ProtocolError, Request, RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 
 
 def line(**members: Any) -> bytes:

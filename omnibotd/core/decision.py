@@ -3,35 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D
 from omnibotd.core.percept import HomingEstimate, PlaceEstimate
-
-
-class ErrorName(StrEnum):
-    """Why a job failed or a request was refused; names follow nav2 and its docking server where they have one."""
-
-    LOST = "LOST"
-    BLOCKED = "BLOCKED"
-    NO_MAP = "NO_MAP"
-    NO_ROUTE = "NO_ROUTE"
-    NO_SUCH_PLACE = "NO_SUCH_PLACE"
-    BASE_LINK_DOWN = "BASE_LINK_DOWN"
-    CAMERA_DOWN = "CAMERA_DOWN"
-    EMERGENCY_STOP = "EMERGENCY_STOP"
-    TIMEOUT = "TIMEOUT"
-    CANCELLED = "CANCELLED"
-    BUSY = "BUSY"
-    NOT_PERMITTED = "NOT_PERMITTED"
-    INVALID = "INVALID"
-    STORAGE = "STORAGE"
-    TRAINING_FAILED = "TRAINING_FAILED"
-    DOCK_NOT_IN_DB = "DOCK_NOT_IN_DB"
-    FAILED_TO_STAGE = "FAILED_TO_STAGE"
-    FAILED_TO_DETECT_DOCK = "FAILED_TO_DETECT_DOCK"
-    FAILED_TO_CONTROL = "FAILED_TO_CONTROL"
-    FAILED_TO_CHARGE = "FAILED_TO_CHARGE"
 
 
 @dataclass(frozen=True, slots=True)

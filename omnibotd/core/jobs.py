@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Protocol
 
-from omnibotd.core.decision import Decision, ErrorName, Observation, Outcome
+from omnibotd.core.decision import Decision, Observation, Outcome
 from omnibotd.core.docking.docker import Docker
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.navigation.navigator import Navigator
 
 # Failures of the trip to the staging pose that are its own; a dead base is no staging trouble and keeps its name.

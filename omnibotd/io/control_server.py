@@ -12,7 +12,7 @@ from typing import Any
 
 from omnibotd import control_protocol as protocol
 from omnibotd.control_protocol import ProtocolError, Request, RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.io.control_socket import listen, peer
 
 log = logging.getLogger(__name__)

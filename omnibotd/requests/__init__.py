@@ -9,7 +9,7 @@ from typing import Any
 
 from omnibotd.control import Feedback
 from omnibotd.control_protocol import METHOD_NOT_FOUND, RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.errors import CoreError
 from omnibotd.io.control_server import Session
 from omnibotd.io.map_store import MapStoreError

@@ -10,8 +10,8 @@ from typing import Any
 
 from omnibotd.control import PERIOD, Feedback, Running, Teleop
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
 from omnibotd.core.docking.docker import Docker, DockingParameters, staging_pose
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D
 from omnibotd.core.jobs import DockingTrip, Job
 from omnibotd.core.mapping.topo_map import Dock, TopoMap

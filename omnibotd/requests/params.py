@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 from omnibotd.control_protocol import INVALID_PARAMS, RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
 
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")

@@ -10,7 +10,7 @@ from typing import Any
 from omnibotd.config import Config
 from omnibotd.control import ControlLoop, Feedback
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation.navigator import SURE

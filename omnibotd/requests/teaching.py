@@ -12,7 +12,7 @@ from typing import Any
 
 from omnibotd.control import Feedback
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.errors import CoreError
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.vision.camera_model import CameraModel

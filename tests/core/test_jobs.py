@@ -5,8 +5,9 @@ from typing import cast
 
 import pytest
 
-from omnibotd.core.decision import Decision, ErrorName, Observation, Outcome
+from omnibotd.core.decision import Decision, Observation, Outcome
 from omnibotd.core.docking.docker import Docker
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.jobs import DockingTrip
 from omnibotd.core.navigation.navigator import Navigator

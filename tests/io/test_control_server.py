@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.io.control_server import MAX_CLIENTS, MAX_REQUESTS, ControlServer, Session
 from omnibotd.io.control_socket import ControlSocketError
 

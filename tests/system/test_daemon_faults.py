@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import Decision, ErrorName, Observation
+from omnibotd.core.decision import Decision, Observation
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D
 from tools.sim import ceilings, virtual_time
 from tools.sim.teacher import Area, Teacher, teach

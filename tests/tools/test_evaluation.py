@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D
 from tools.evaluation.__main__ import main
 from tools.evaluation.summary import Run, Summary

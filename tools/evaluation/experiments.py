@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.drive import read_drive
 from omnibotd.io.recording import teaching_samples

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.decision import ErrorName
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D, wrap
 from tools.sim.world_plugin import World
 

@@ -7,11 +7,12 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from omnibotd.core.decision import Decision, ErrorName, Observation, Outcome
+from omnibotd.core.decision import Decision, Observation, Outcome
 from omnibotd.core.docking.approach import Limits
 from omnibotd.core.docking.controlling import Controlling
 from omnibotd.core.docking.sightings import Sightings, agree, dock_from_odom
 from omnibotd.core.docking.states import TRANSITIONS, Action, Event, State
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D
 from omnibotd.core.percept import HomingEstimate, Verdict
 

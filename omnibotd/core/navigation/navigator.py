@@ -14,7 +14,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from omnibotd.core.decision import Decision, ErrorName, Observation, Outcome
+from omnibotd.core.decision import Decision, Observation, Outcome
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D, wrap
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation.dynamic_window import DynamicWindow, pursuit, turn

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from omnibotd.core.decision import Decision, ErrorName, Observation
+from omnibotd.core.decision import Decision, Observation
 from omnibotd.core.docking.docker import Docker, DockingParameters, staging_pose
 from omnibotd.core.docking.states import TRANSITIONS, Event, State
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D
 from omnibotd.core.percept import HomingEstimate, Verdict
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omnibotd.core.decision import Decision, ErrorName, Observation
+from omnibotd.core.decision import Decision, Observation
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D, wrap
 from omnibotd.core.mapping.topo_map import EdgeKind, Edges, TopoMap
 from omnibotd.core.navigation.floor import DrivenFloor
