@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any, NoReturn
 
 from omnibotd import __version__, cli_output
@@ -115,7 +114,7 @@ def _add_maps(maps: Any) -> None:
     _verb(maps, "info", "facts of a map", verbs.simple("map.info", "reading", cli_output.map_facts, "map"), "map?")
     _verb(maps, "verify", "check a map's file", verbs.verify, "map?")
     plot = _verb(maps, "plot", "draw a map", verbs.plot, "map?")
-    plot.add_argument("-o", dest="output", type=Path, metavar="FILE.png", help="default MAP.png")
+    plot.add_argument("-o", dest="output", metavar="FILE.png", help="default MAP.png")
 
 
 def _add_places(places: Any) -> None:

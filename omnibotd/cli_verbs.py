@@ -8,7 +8,6 @@ import json
 import sys
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, NoReturn
 
 from omnibotd import cli_output
@@ -172,12 +171,13 @@ def saved(result: Mapping[str, Any]) -> str:
 
 def plot(terminal: Terminal, options: argparse.Namespace) -> None:
     result = terminal.ask("map.plot", {"map": options.map}, "drawing")
-    target = options.output or Path(f"{result.get('map') or options.map or 'map'}.png")
+    target = options.output or f"{result.get('map') or options.map or 'map'}.png"
     try:
-        target.write_bytes(base64.b64decode(result["png"], validate=True))
+        with open(target, "wb") as file:
+            file.write(base64.b64decode(result["png"], validate=True))
     except OSError as error:
         raise RemoteError(JOB_FAILED, ErrorName.STORAGE, f"{target}: {error.strerror or error}") from error
-    terminal.show({"map": result.get("map"), "file": str(target)}, f"wrote {target}")
+    terminal.show({"map": result.get("map"), "file": target}, f"wrote {target}")
 
 
 def verify(terminal: Terminal, options: argparse.Namespace) -> None:

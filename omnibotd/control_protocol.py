@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from omnibotd.core.error_name import ErrorName
 
@@ -53,17 +52,15 @@ class RpcError(Exception):
         return cls(code_of(name), name, message)
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(NamedTuple):
     """One call; `id` is None for a notification, which gets no answer."""
 
     id: RequestId
     method: str
-    params: dict[str, Any] = field(default_factory=dict)
+    params: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class ProtocolError:
+class ProtocolError(NamedTuple):
     """A line that is no request: answer with `code` and `message` under `id` (None: none could be read)."""
 
     code: int
