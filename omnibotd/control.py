@@ -118,7 +118,7 @@ class ControlLoop:
         self.teleop = None
         if self.running is not None:
             self._finish(self.running, Outcome(ErrorName.CANCELLED, reason))
-        self._apply(STOP)
+        self._apply(self._gate.stop())
 
     def note_place(self, place: PlaceEstimate) -> None:
         self.place = self._fresh_place = place
@@ -173,7 +173,7 @@ class ControlLoop:
                     Outcome(ErrorName.CANCELLED, "internal error in the control tick, see the log"),
                 )
             self.teleop = None
-            self._apply(STOP)
+            self._apply(self._gate.stop())
             return False
         return True
 

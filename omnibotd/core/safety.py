@@ -43,8 +43,7 @@ class SafetyGate:
     def limit(self, wanted: Twist2D, seen: Observation, dt: float) -> Twist2D:
         """The twist that may go to the wheels now; `dt` (s) since the last call. Not a number means stop."""
         if hazard(seen) is not None or not (math.isfinite(wanted.vx) and math.isfinite(wanted.wz)):
-            self._last = STOP
-            return STOP
+            return self.stop()
         vx = self._clamp(wanted.vx, self._limits.max_linear_velocity)
         wz = self._clamp(wanted.wz, self._limits.max_angular_velocity)
         vx = self._ramp(self._last.vx, vx, self._limits.max_linear_acceleration * dt)
@@ -53,6 +52,11 @@ class SafetyGate:
             vx = min(vx, 0.0)
         self._last = Twist2D(vx, wz)
         return self._last
+
+    def stop(self) -> Twist2D:
+        """Stand at once, without a ramp, and start the next motion from standing."""
+        self._last = STOP
+        return STOP
 
     @staticmethod
     def _clamp(value: float, bound: float) -> float:

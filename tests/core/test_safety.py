@@ -30,6 +30,14 @@ def test_speeding_up_takes_its_time_and_braking_less() -> None:
     assert gate.limit(STOP, CLEAR, 0.1).vx == pytest.approx(0.3 - 0.05 * BRAKING)
 
 
+def test_after_a_stop_it_stands_and_starts_from_standing() -> None:
+    gate = SafetyGate(LIMITS)
+    at_speed(gate, FAST)
+    assert gate.stop() == STOP
+    assert gate.limit(STOP, CLEAR, 0.1) == STOP
+    assert gate.limit(FAST, CLEAR, 0.1).vx == pytest.approx(0.05)
+
+
 @pytest.mark.parametrize("danger", [{"emergency_stop": True}, {"base_ok": False}, {"wheel_drop": True}])
 def test_danger_stops_at_once_without_a_ramp(danger: dict[str, bool]) -> None:
     gate = SafetyGate(LIMITS)

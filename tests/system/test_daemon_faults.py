@@ -112,6 +112,9 @@ def test_stop_cancels_and_a_second_job_is_refused_meanwhile(home: Path) -> None:
                 await robot.call(method, **params)
             assert (refused.value.name, refused.value.code) == (ErrorName.BUSY, 4)
         await robot.call("stop")
+        for _ in range(20):
+            await asyncio.sleep(0.05)
+            assert robot.device.target == (0, 0)
 
     error = on_a_trip(home, stop)
     assert (error.name, error.code) == (ErrorName.CANCELLED, 130)
