@@ -134,7 +134,7 @@ async def serve(config: Config) -> None:
         base = MotorBase(make_driver(config.base.driver), lambda: open_serial(config.base.port, config.base.baudrate))
         store = MapStore(config.storage.directory)
         daemon = Daemon(config, Adapters(Camera(config.camera), base, store, Notifier(), off_loop))
-        server = ControlServer(config.control.socket, config.control.group or "", daemon.requests.dispatch)
+        server = ControlServer(config.control.socket, config.control.group, daemon.requests.dispatch)
         daemon.control.events = server.broadcast
         await server.start()
         try:

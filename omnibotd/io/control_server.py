@@ -91,7 +91,7 @@ class ControlServer:
     what must go on. `subscribe` is answered here.
     """
 
-    def __init__(self, path: Path, group: str, dispatch: Dispatch) -> None:
+    def __init__(self, path: Path, group: str | None, dispatch: Dispatch) -> None:
         self._path = path
         self._group = group
         self._dispatch = dispatch

@@ -24,8 +24,8 @@ class ControlSocketError(Exception):
     """The socket can't be opened; the message says why and what to do."""
 
 
-def listen(path: Path, group: str) -> socket.socket:
-    """A bound socket, mode 0660, of `group` where that exists. Raises ControlSocketError."""
+def listen(path: Path, group: str | None) -> socket.socket:
+    """A bound socket, mode 0660, of `group` where one is named and exists. Raises ControlSocketError."""
     if not path.parent.is_dir():
         raise ControlSocketError(f"control socket {path}: no directory {path.parent}: create it, or set control.socket")
     try:
@@ -69,12 +69,13 @@ def _answers(path: Path) -> bool:
     return result not in {errno.ECONNREFUSED, errno.ENOENT}
 
 
-def _bind(path: Path, group: str) -> socket.socket:
+def _bind(path: Path, group: str | None) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         listener.bind(str(path))
         path.chmod(_MODE)
-        _give_to(path, group)
+        if group is not None:
+            _give_to(path, group)
     except BaseException:
         listener.close()
         raise

@@ -53,10 +53,16 @@ class Jobs:
         if session is not None:
             session.on_close(partial(self._let_go, session))
         if lasting:
-            await asyncio.sleep(duration)
-            if self._robot.control.teleop is not None and self._robot.control.teleop is not teleop:
-                raise RpcError.named(ErrorName.CANCELLED, "another drive command took over")
+            await self._until_over(teleop)
         return {}
+
+    async def _until_over(self, teleop: Teleop) -> None:
+        """Wait for the end of a drive; whatever ended it before its time is said."""
+        while self._robot.now() < teleop.until:
+            if self._robot.control.teleop is not teleop:
+                self._robot.refuse_if_unsafe()
+                raise RpcError.named(ErrorName.CANCELLED, "the drive was stopped before its time was over")
+            await asyncio.sleep(PERIOD)
 
     def _let_go(self, session: Session) -> None:
         """The client that drove went away: stop now, not at the time-out."""

@@ -154,6 +154,27 @@ def test_a_place_is_only_saved_when_the_robot_is_sure_and_survives_a_new_trainin
     virtual_time.run(main())
 
 
+def test_a_drive_whose_base_goes_silent_fails_with_that_name() -> None:
+    async def main() -> None:
+        async with virtual_robot(ceilings.tiles(SEED), SEED) as robot:
+            drive = asyncio.create_task(robot.call("drive", **{"vx": 0.1, "wz": 0.0, "for": 20.0}))
+            await asyncio.sleep(2.0)
+            robot.link.cut = True
+            with pytest.raises(RpcError) as ended:
+                await asyncio.wait_for(drive, 2.0)
+            assert ended.value.name == ErrorName.BASE_LINK_DOWN
+            robot.link.cut = False
+            await asyncio.sleep(2.0)
+            drive = asyncio.create_task(robot.call("drive", **{"vx": 0.1, "wz": 0.0, "for": 20.0}))
+            await asyncio.sleep(2.0)
+            await robot.call("stop")
+            with pytest.raises(RpcError) as ended:
+                await asyncio.wait_for(drive, 2.0)
+            assert ended.value.name == ErrorName.CANCELLED
+
+    virtual_time.run(main())
+
+
 def test_driving_by_hand_is_clamped_and_a_wall_stops_it() -> None:
     async def main() -> None:
         async with virtual_robot(ceilings.tiles(SEED), SEED, Pose2D(2.0, 0.0, 0.0)) as robot:
