@@ -45,7 +45,6 @@ class Perception:
         self._registration: tuple[str, DockRegistration] | None = None
         self._recorded_at = -math.inf
         self._first_frames: list[Frame] = []
-        self.failures = 0
         self.reason = ""
 
     async def use(self, topo_map: TopoMap | None) -> None:
@@ -83,7 +82,6 @@ class Perception:
             await self._estimate(frame, odom_from_base)
             self.reason = ""
         except CoreError as error:
-            self.failures += 1
             if str(error) != self.reason:  # once, not ten times a second
                 log.warning("frame not used: %s", error)
             self.reason = str(error)

@@ -54,7 +54,7 @@ class TopoMap:
     codebook (U, F) float32, on a square torus of sqrt(U) x sqrt(U); `units` (N,) best matching unit of each node;
     `snapshots` (N, rings * sectors / 2) uint8, two 4-bit cells a byte; `poses` (N, 3) float32 map_from_base;
     `sessions` (N,) number of the teaching drive. `ceiling_height` is metres from camera to ceiling as measured while
-    teaching (NaN where unknown). `camera` names the calibration the map was taught with, to refuse another one's;
+    teaching (NaN where unknown). `camera` tells the calibration the map was taught with;
     `recording` is the file it was taught from.
     """
 
