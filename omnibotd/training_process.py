@@ -33,7 +33,7 @@ def train_and_save(recording: Path, name: str, store: MapStore, model: CameraMod
     A map of the same recording hands on its places and docks; one of another recording stays, as NAME-1, NAME-2 ...
     """
     fresh = train(name, teaching_samples(recording), model, progress=progress)
-    fresh = replace(fresh, recording=recording.name)
+    fresh = replace(fresh, recordings=(recording.name,))
     names = {entry.name for entry in store.list() if entry.bytes}
     if name in names:
         fresh = _succeed(store, fresh, names)
@@ -47,7 +47,7 @@ def _succeed(store: MapStore, fresh: TopoMap, names: set[str]) -> TopoMap:
         old = store.load(fresh.name)
     except MapStoreError:
         return fresh
-    if old.recording == fresh.recording:
+    if old.recordings == fresh.recordings:
         return replace(fresh, places=old.places, docks=old.docks)
     store.save(replace(old, name=next(name for k in count(1) if (name := f"{fresh.name}-{k}") not in names)))
     return fresh

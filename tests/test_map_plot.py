@@ -13,13 +13,7 @@ def line_map(length: float) -> TopoMap:
     poses = np.zeros((count, 3), np.float32)
     poses[:, 0] = np.arange(count) * 0.1
     first = np.arange(count - 1, dtype=np.int32)
-    edges = Edges(
-        first,
-        first + 1,
-        np.full(count - 1, EdgeKind.ODOMETRY, np.uint8),
-        np.tile(np.float32([0.1, 0.0]), (count - 1, 1)),
-        np.full(count - 1, 1e-4, np.float32),
-    )
+    edges = Edges(first, first + 1, np.full(count - 1, EdgeKind.ODOMETRY, np.uint8))
     units, snapshots = np.zeros(count, np.uint16), np.zeros((count, 512), np.uint8)
     return TopoMap("line", np.zeros((1, 192), np.float32), units, snapshots, poses, units, edges)
 

@@ -17,7 +17,7 @@ from omnibotd import __version__
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import Dock, Edges, TopoMap
 
-VERSION = 1
+VERSION = 2
 _MAGIC = b"\x89OMAP\r\n\x1a"  # the high bit and both newlines catch a transfer as text
 _LENGTH_AND_CRC = struct.Struct("<II")
 _MAX_HEADER = 64 * 1024  # thirteen sections take one and a half kilobytes
@@ -30,8 +30,6 @@ _EDGES = {
     "edges.first": ("<i4", ()),
     "edges.second": ("<i4", ()),
     "edges.kind": ("|u1", ()),
-    "edges.offset": ("<f4", (2,)),
-    "edges.variance": ("<f4", ()),
 }
 _ARRAYS = {"codebook": ("<f4", (-1,)), **_NODES, **_EDGES}  # dtype and what follows the first axis; -1 is any
 _RECORDS = ("info", "docks")
@@ -89,7 +87,7 @@ def _field(topo_map: TopoMap, section: str) -> NDArray[Any]:
 def _info(topo_map: TopoMap) -> dict[str, Any]:
     return {
         "ceiling_height": float(topo_map.ceiling_height),
-        "recording": topo_map.recording,
+        "recordings": list(topo_map.recordings),
         "camera": {key: float(value) for key, value in topo_map.camera.items()},
         "statistics": {key: float(value) for key, value in topo_map.statistics.items()},
         "places": {name: _triple(pose) for name, pose in topo_map.places.items()},
@@ -263,7 +261,7 @@ def _facts(info: dict[str, Any]) -> dict[str, Any]:
     try:
         return {
             "ceiling_height": float(info["ceiling_height"]),
-            "recording": str(info["recording"]),
+            "recordings": tuple(str(name) for name in info["recordings"]),
             "camera": {str(key): float(value) for key, value in info["camera"].items()},
             "statistics": {str(key): float(value) for key, value in info["statistics"].items()},
             "places": {str(name): _pose(triple) for name, triple in info["places"].items()},

@@ -16,14 +16,10 @@ _ADJACENT = 0.3
 _ADJACENT_KEPT, _ADJACENT_ASKED = 6, 40
 # Nodes this near in sequence are joined by driven links already.
 _SAME_PASS = 8
-# Variance (m^2) of a driven link: thesis §6.5, 2 % of its length, per metre, so that cutting a path changes nothing.
-_PER_METRE = 0.02
-# Of a link between places seen to be near: 5 cm at most (thesis §6.5); of one that relaxation found: 3 cm as well.
-_SIMILAR, _ADJACENT_VARIANCE = 0.05**2, 0.03**2
 
 
 def make_edges(poses: Floats, links: Links) -> Edges:
-    """Each pair of nodes once, by the strongest kind; offsets are differences of relaxed positions."""
+    """Each pair of nodes once, by the strongest kind."""
     nodes = len(poses)
     driven = np.column_stack([np.arange(nodes - 1), np.arange(1, nodes)])
     place = np.array(links.place, bool)
@@ -37,7 +33,8 @@ def make_edges(poses: Floats, links: Links) -> Edges:
     )
     # np.unique keeps the first of equal pairs, so the order above is the order of strength.
     _, first = np.unique(pairs, axis=0, return_index=True)
-    return _edges(poses, pairs[np.sort(first)], kinds[np.sort(first)].astype(np.uint8))
+    kept = np.sort(first)
+    return Edges(pairs[kept, 0], pairs[kept, 1], kinds[kept].astype(np.uint8))
 
 
 def _adjacent(poses: Floats) -> NDArray[np.intp]:
@@ -48,15 +45,6 @@ def _adjacent(poses: Floats) -> NDArray[np.intp]:
     usable = np.isfinite(distance) & (np.abs(node - other) > _SAME_PASS)
     usable &= np.cumsum(usable, axis=1) <= _ADJACENT_KEPT
     return np.unique(np.sort(np.column_stack([node[usable], other[usable]]), axis=1), axis=0)
-
-
-def _edges(poses: Floats, pairs: NDArray[np.int32], kinds: NDArray[np.uint8]) -> Edges:
-    length = _length(poses, pairs)
-    variance = _PER_METRE * length
-    variance[kinds == EdgeKind.SIMILARITY] += _SIMILAR
-    variance[kinds == EdgeKind.PROXIMITY] += _ADJACENT_VARIANCE
-    offset = poses[pairs[:, 1], :2] - poses[pairs[:, 0], :2]
-    return Edges(pairs[:, 0], pairs[:, 1], kinds, offset.astype(np.float32), variance.astype(np.float32))
 
 
 def _length(poses: Floats, pairs: NDArray[np.integer]) -> Floats:

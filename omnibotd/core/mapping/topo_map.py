@@ -26,14 +26,11 @@ class EdgeKind(IntEnum):
 
 @dataclass(frozen=True)
 class Edges:
-    """Links (M): node indices `first`, `second` (M,) int32; `kind` (M,) uint8; from first to second, in map axes,
-    `offset` (M, 2) m and `variance` (M,) m^2."""
+    """Links (M): node indices `first`, `second` (M,) int32 and `kind` (M,) uint8; offsets are the poses'."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
     kind: NDArray[np.uint8]
-    offset: NDArray[np.float32]
-    variance: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.first)
@@ -55,7 +52,7 @@ class TopoMap:
     `snapshots` (N, rings * sectors / 2) uint8, two 4-bit cells a byte; `poses` (N, 3) float32 map_from_base;
     `sessions` (N,) number of the teaching drive. `ceiling_height` is metres from camera to ceiling as measured while
     teaching (NaN where unknown). `camera` tells the calibration the map was taught with;
-    `recording` is the file it was taught from.
+    `recordings` are the files it was taught from, one a session.
     """
 
     name: str
@@ -68,7 +65,7 @@ class TopoMap:
     ceiling_height: float = float("nan")
     camera: Mapping[str, float] = field(default_factory=dict)
     statistics: Mapping[str, float] = field(default_factory=dict)
-    recording: str = ""
+    recordings: tuple[str, ...] = ()
     places: Mapping[str, Pose2D] = field(default_factory=dict)
     docks: Mapping[str, Dock] = field(default_factory=dict)
 

@@ -81,10 +81,8 @@ def test_links(taught: Taught) -> None:
     assert (edges.kind == EdgeKind.ODOMETRY).sum() == len(poses) - 1
     assert (edges.kind == EdgeKind.SIMILARITY).sum() > 20
     assert (edges.kind == EdgeKind.PROXIMITY).sum() > 20
-    np.testing.assert_allclose(edges.offset, poses[edges.second, :2] - poses[edges.first, :2], atol=1e-5)
-    across = np.hypot(*edges.offset[edges.kind != EdgeKind.ODOMETRY].T)
-    assert across.max() < 0.3
-    assert (edges.variance >= 0.0).all()
+    offset = poses[edges.second, :2] - poses[edges.first, :2]
+    assert np.hypot(*offset[edges.kind != EdgeKind.ODOMETRY].T).max() < 0.3
 
 
 def test_statistics(taught: Taught) -> None:

@@ -28,13 +28,7 @@ def grid_map(cells: list[tuple[int, int]], spacing: float = 0.2) -> TopoMap:
     links = [(k, index[n]) for (i, j), k in index.items() for n in ((i + 1, j), (i, j + 1)) if n in index]
     first, second = np.array(links, np.int32).T
     poses = np.array([(i * spacing, j * spacing, 0.0) for i, j in cells], np.float32)
-    edges = Edges(
-        first,
-        second,
-        np.full(len(first), EdgeKind.PROXIMITY, np.uint8),
-        poses[second, :2] - poses[first, :2],
-        np.full(len(first), 1e-4, np.float32),
-    )
+    edges = Edges(first, second, np.full(len(first), EdgeKind.PROXIMITY, np.uint8))
     count = len(cells)
     return TopoMap(
         "grid",
