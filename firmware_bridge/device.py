@@ -8,11 +8,13 @@ from firmware_bridge import messages
 from firmware_bridge.events import BridgeError
 from firmware_bridge.framing import Decoder
 from firmware_bridge.messages import (
+    NOTHING_AHEAD,
     Ack,
     Capability,
     Hello,
     HelloReply,
     Message,
+    Range,
     Release,
     SetPoint,
     Status,
@@ -24,7 +26,7 @@ WATCHDOG = 0.25  # seconds without a new set-point until the wheels stop: 12 cm 
 TELEMETRY_PERIOD = 0.02
 # Answers that wait for the line: one to each kind of request twice over; an MCU has no room for more.
 MAX_REPLIES = 8
-ALL = Capability.BUMPERS | Capability.CLIFF | Capability.WHEEL_DROP | Capability.CHARGING | Capability.BATTERY
+ALL = Capability(sum(Capability))
 
 
 class OmnibotDevice:
@@ -49,6 +51,7 @@ class OmnibotDevice:
         self._ticks = (0, 0)
         self._status = Status(0)
         self._battery_mv = 0
+        self._ahead_mm: int | None = None
         self.reset(boot_nonce)
 
     def reset(self, nonce: int) -> None:
@@ -66,6 +69,7 @@ class OmnibotDevice:
         self._seq = 0
         self._replies: deque[Message] = deque(maxlen=MAX_REPLIES)
         self._telemetry: Telemetry | None = None
+        self._range: Range | None = None
 
     @property
     def target(self) -> tuple[int, int]:
@@ -87,10 +91,15 @@ class OmnibotDevice:
         wheel_drop: bool = False,
         charging: bool | None = None,
         battery_mv: int = 12000,
+        range_ahead: float | None = None,
     ) -> None:
-        """What the sensors say now; the ticks go on across a reset. `charging` None: no contact to tell."""
+        """What the sensors say now; the ticks go on across a reset. `charging` None: no contact to tell.
+
+        `range_ahead` in metres from the front edge, infinite where nothing is within reach, None without such a sensor.
+        """
         self._ticks = (left_ticks, right_ticks)
         self._battery_mv = battery_mv
+        self._ahead_mm = None if range_ahead is None else round(min(range_ahead * 1000.0, NOTHING_AHEAD))
         senses = {
             Status.BUMPER_LEFT: bumper_left,
             Status.BUMPER_RIGHT: bumper_right,
@@ -118,14 +127,14 @@ class OmnibotDevice:
         # A late poll skips reports instead of sending a burst of equal ones.
         self._telemetry_at = max(self._telemetry_at + TELEMETRY_PERIOD, now)
         self._telemetry = self._report(now)
+        self._range = None if self._ahead_mm is None else Range(self.boot_nonce, self._ahead_mm)
 
     def data_to_send(self) -> bytes:
-        """Frames that wait: answers, then the newest telemetry."""
-        waiting: list[Message] = [*self._replies]
-        if self._telemetry is not None:
-            waiting.append(self._telemetry)
+        """Frames that wait: answers, then the newest range and telemetry."""
+        newest = (self._range, self._telemetry)
+        waiting: list[Message] = [*self._replies, *(message for message in newest if message is not None)]
         self._replies.clear()
-        self._telemetry = None
+        self._range = self._telemetry = None
         return b"".join(messages.to_bytes(message, self._next_seq()) for message in waiting)
 
     def _next_seq(self) -> int:

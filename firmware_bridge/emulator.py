@@ -43,7 +43,7 @@ class IdealWheels:
 
 
 class Senses(TypedDict, total=False):
-    """What the contacts and the battery say; the keywords of `OmnibotDevice.set_state`."""
+    """What contacts, range sensor and battery say; the keywords of `OmnibotDevice.set_state`."""
 
     bumper_left: bool
     bumper_right: bool
@@ -51,6 +51,7 @@ class Senses(TypedDict, total=False):
     wheel_drop: bool
     charging: bool | None
     battery_mv: int
+    range_ahead: float | None
 
 
 class Emulator:

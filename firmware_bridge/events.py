@@ -51,6 +51,7 @@ class Telemetry:
     charging: bool | None = None  # None: this base has no charging contact
     battery: float | None = None  # volts
     emergency_stop: bool = False
+    range_ahead: float | None = None  # metres from the front edge, inf: nothing within reach; None: not measured
     faults: frozenset[str] = frozenset()
 
 

@@ -11,6 +11,7 @@ from firmware_bridge.events import BridgeError
 from firmware_bridge.framing import Frame, encode
 
 VERSION = 1
+NOTHING_AHEAD = 0xFFFF  # in RANGE
 
 
 class MalformedMessage(Exception):
@@ -33,6 +34,7 @@ class Capability(enum.IntFlag):
     WHEEL_DROP = 1 << 2
     CHARGING = 1 << 3
     BATTERY = 1 << 4
+    RANGE = 1 << 5
 
 
 class Status(enum.IntFlag):
@@ -171,9 +173,19 @@ class Telemetry(_Fixed):
     overruns: int
 
 
-Message = Hello | SetPoint | Stop | Release | HelloReply | Ack | Telemetry
+@dataclass(frozen=True, slots=True)
+class Range(_Fixed):
+    """Base: millimetres from its front edge to what is ahead, or NOTHING_AHEAD; before the telemetry it belongs to."""
+
+    CODE = 0x84
+    LAYOUT = struct.Struct("<IH")
+    boot_nonce: int
+    ahead_mm: int
+
+
+Message = Hello | SetPoint | Stop | Release | HelloReply | Ack | Telemetry | Range
 _TYPES: dict[int, type[Message]] = {
-    kind.CODE: kind for kind in (Hello, SetPoint, Stop, Release, HelloReply, Ack, Telemetry)
+    kind.CODE: kind for kind in (Hello, SetPoint, Stop, Release, HelloReply, Ack, Telemetry, Range)
 }
 
 

@@ -14,6 +14,7 @@ from firmware_bridge.messages import (
     Fault,
     HelloReply,
     Message,
+    Range,
     Release,
     SetPoint,
     Status,
@@ -24,6 +25,7 @@ HELLO_PERIOD = 0.2  # seconds; a board that boots in 2 s is found at once when i
 SILENCE = 0.3  # seconds: fifteen telemetry frames missing is no noise
 RETRY_PERIOD = 0.05  # seconds; a round trip takes 2-10 ms
 RETRY_LIMIT = 20  # a second of retries; then the base is as good as gone and hands must be shaken again
+RANGE_LIFE = 0.2  # seconds: ten ranges missing; an old one says nothing about the way ahead
 MAX_TICKS_PER_SECOND = 2**31 - 1  # what SETPOINT holds
 
 
@@ -64,6 +66,7 @@ class OmnibotHost:
         self._capabilities = Capability(0)
         self._last_nonce: int | None = None  # kept while disconnected: tells a restart from a cut cable
         self._counters = (_Counter(), _Counter())
+        self._range: tuple[float, float] | None = None  # metres, and when they came
         self._heard_at = 0.0
         self._hello_at = -math.inf
         self._hello_due = False
@@ -160,6 +163,8 @@ class OmnibotHost:
                 return self._on_hello_reply(message, now)
             case messages.Telemetry():
                 return self._on_telemetry(message, now)
+            case Range():
+                self._on_range(message, now)
             case Ack():
                 self._on_ack(message)
         return []  # anything else is the host's own echo, from a line that loops back
@@ -174,6 +179,7 @@ class OmnibotHost:
         self._capabilities = Capability(reply.capabilities)
         self._last_nonce = reply.boot_nonce
         self._counters = (_Counter(), _Counter())
+        self._range = None
         self._heard_at = now
         self._hello_due = False
         if self._stop_wanted:
@@ -199,9 +205,21 @@ class OmnibotHost:
             charging=Status.CHARGING in status if Capability.CHARGING in has else None,
             battery=report.battery_mv / 1000.0 if Capability.BATTERY in has else None,
             emergency_stop=Status.EMERGENCY_STOP in status,
+            range_ahead=self._ahead(now),
             faults=messages.names(Fault(report.faults)),
         )
         return [telemetry]
+
+    def _on_range(self, message: Range, now: float) -> None:
+        """Kept for the telemetry that follows it."""
+        if self._info is not None and message.boot_nonce == self._info.boot_nonce:
+            nothing = message.ahead_mm == messages.NOTHING_AHEAD
+            self._range = (math.inf if nothing else message.ahead_mm / 1000.0, now)
+
+    def _ahead(self, now: float) -> float | None:
+        if self._range is None or now - self._range[1] > RANGE_LIFE:
+            return None
+        return self._range[0]
 
     def _on_ack(self, ack: Ack) -> None:
         request = self._request

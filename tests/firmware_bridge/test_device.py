@@ -8,7 +8,7 @@ from firmware_bridge import messages
 from firmware_bridge.device import OmnibotDevice
 from firmware_bridge.events import BridgeError
 from firmware_bridge.framing import Decoder
-from firmware_bridge.messages import Ack, Hello, HelloReply, Message, Release, SetPoint, Status, Stop, Telemetry
+from firmware_bridge.messages import Ack, Hello, HelloReply, Message, Range, Release, SetPoint, Status, Stop, Telemetry
 
 NONCE = 0x1234
 
@@ -46,7 +46,7 @@ def test_introduces_itself() -> None:
     device = OmnibotDevice(508.8, NONCE, board="uno-r3", firmware=0xC0FFEE01)
     tell(device, Hello(), 1, 0.0)
     (reply,) = said(device)
-    assert reply == HelloReply(1, 250, 508800, NONCE, 0xC0FFEE01, b"uno-r3".ljust(16, b"\0"), 0x1F)
+    assert reply == HelloReply(1, 250, 508800, NONCE, 0xC0FFEE01, b"uno-r3".ljust(16, b"\0"), 0x3F)
 
 
 def test_does_not_serve_another_version_but_answers() -> None:
@@ -170,3 +170,20 @@ def test_answers_waiting_are_bounded() -> None:
 def test_board_name_too_long_is_our_bug() -> None:
     with pytest.raises(BridgeError, match="16 bytes"):
         OmnibotDevice(1000.0, NONCE, board="a-very-long-board-name")
+
+
+@pytest.mark.parametrize(("metres", "millimetres"), [(0.355, 355), (float("inf"), 65535), (80.0, 65535), (0.0, 0)])
+def test_range_goes_out_before_the_telemetry_it_belongs_to(metres: float, millimetres: int) -> None:
+    device = greeted()
+    device.set_state(1, 2, range_ahead=metres)
+    device.poll(0.02)
+    first, second = said(device)
+    assert first == Range(NONCE, millimetres)
+    assert isinstance(second, Telemetry)
+
+
+def test_without_a_range_sensor_no_range_is_sent() -> None:
+    device = greeted()
+    device.set_state(1, 2)
+    device.poll(0.02)
+    assert [type(message) for message in said(device)] == [Telemetry]

@@ -83,7 +83,7 @@ def test_connects_and_knows_the_base() -> None:
     info = event.info
     assert (info.driver, info.board, info.boot_nonce) == ("omnibot", "emulator", 0xA0000001)
     assert (info.watchdog, info.ticks_per_rev) == (0.25, 1000.0)
-    assert info.capabilities == {"bumpers", "cliff", "wheel_drop", "charging", "battery"}
+    assert info.capabilities == {"bumpers", "cliff", "wheel_drop", "charging", "battery", "range"}
 
 
 def test_hello_every_200_ms_and_nothing_else_before_the_answer() -> None:

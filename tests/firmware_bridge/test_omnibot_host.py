@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
@@ -54,3 +55,43 @@ def test_drivers_by_name() -> None:
     assert isinstance(make_driver("omnibot"), OmnibotHost)
     with pytest.raises(BridgeError, match=r"'segway'; known: .*omnibot"):
         make_driver("segway")
+
+
+def ahead(nonce: int, millimetres: int) -> bytes:
+    return messages.encode(0x84, 0, struct.pack("<IH", nonce, millimetres))
+
+
+@pytest.mark.parametrize(
+    ("data", "age", "metres"),
+    [
+        (ahead(9, 355), 0.0, 0.355),
+        (ahead(9, 65535), 0.0, math.inf),
+        (ahead(9, 355), 0.19, 0.355),
+        (ahead(9, 355), 0.21, None),
+        (ahead(8, 355), 0.0, None),
+        (b"", 0.0, None),
+    ],
+    ids=["near", "nothing within reach", "a little old", "too old", "of another life", "no sensor"],
+)
+def test_telemetry_carries_the_newest_range(data: bytes, age: float, metres: float | None) -> None:
+    host, device = OmnibotHost(), OmnibotDevice(1000.0, 9)
+    device.receive(messages.to_bytes(Hello(), 1), 0.0)
+    host.receive(device.data_to_send(), 0.0)
+    host.receive(data, 1.0)
+    (event,) = host.receive(report(9, 0, 0), 1.0 + age)
+    assert isinstance(event, Telemetry)
+    assert event.range_ahead == metres
+
+
+def test_a_range_does_not_outlive_the_base_it_came_from() -> None:
+    host, device = OmnibotHost(), OmnibotDevice(1000.0, 9)
+    device.receive(messages.to_bytes(Hello(), 1), 0.0)
+    host.receive(device.data_to_send(), 0.0)
+    host.receive(ahead(9, 355), 0.25)
+    (event,) = host.poll(0.35)
+    assert isinstance(event, Disconnected)
+    device.receive(messages.to_bytes(Hello(), 2), 0.36)
+    host.receive(device.data_to_send(), 0.36)
+    (event,) = host.receive(report(9, 0, 0), 0.4)
+    assert isinstance(event, Telemetry)
+    assert event.range_ahead is None

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tools.sim.plant import MOTOR_LAG, ROBOT_RADIUS, Body, SimulatedRobot
+from tools.sim.plant import MOTOR_LAG, RANGE_REACH, ROBOT_RADIUS, Body, SimulatedRobot
 
 IDEAL = Body(scale_error=0.0, wheel_difference=0.0, slip=0.0)
 TICKS_PER_METRE = 1440 / (2 * math.pi * 0.035)
@@ -150,3 +150,22 @@ def test_teleport_moves_the_body_but_not_the_encoders():
 def test_place_without_room_is_refused():
     with pytest.raises(ValueError, match=r"no room for a robot of radius 0\.17 m at x=2\.900"):
         SimulatedRobot(Box(), (2.9, 0.0, 0.0), 0)
+
+
+@pytest.mark.parametrize(
+    ("pose", "metres"),
+    [
+        ((2.0, 0.0, 0.0), 0.83),
+        ((2.0, 0.0, math.pi), math.inf),
+        ((2.0, 0.0, math.pi / 4), math.sqrt(2.0) - ROBOT_RADIUS),
+        ((3.0 - ROBOT_RADIUS - 0.001, 0.0, 0.0), 0.001),
+        ((3.0 - ROBOT_RADIUS - RANGE_REACH - 0.1, 0.0, 0.0), math.inf),
+    ],
+)
+def test_range_is_measured_from_the_front_edge_straight_ahead(pose, metres):
+    robot = SimulatedRobot(Box(), pose, 0, IDEAL, range_sensor=True)
+    assert robot.range_ahead == pytest.approx(metres, abs=0.02)
+
+
+def test_a_robot_without_a_range_sensor_measures_none():
+    assert SimulatedRobot(Box(), (2.0, 0.0, 0.0), 0, IDEAL).range_ahead is None

@@ -15,6 +15,8 @@ MOTOR_LAG = 0.08  # s, first order, from a wheel's commanded to its actual speed
 ROBOT_RADIUS = 0.17  # m
 TOUCH = 0.002  # m, the travel of the bumper's spring
 DOCK_ANGLE = math.radians(5.0)  # beyond this the charging contacts miss each other
+RANGE_REACH = 1.5  # m, of a small time-of-flight sensor
+_BEAM = 0.02  # m, the thinnest obstacle that its cone is sure to meet
 _PROBES = 32  # directions in which the bumper feels
 _BISECTIONS = 8  # of a substep's 5 mm: the robot stops 0.02 mm from what it hits
 
@@ -52,9 +54,12 @@ class SimulatedRobot:
     body while the wheels turn on.
     """
 
-    def __init__(self, world: Floor, pose: Pose, seed: int, body: Body | None = None) -> None:
+    def __init__(
+        self, world: Floor, pose: Pose, seed: int, body: Body | None = None, *, range_sensor: bool = False
+    ) -> None:
         """Raises ValueError where `pose` (x, y, yaw; metres, radians) leaves no room for the robot."""
         self.body = body or Body()
+        self._range_sensor = range_sensor
         self._world = world
         self._rng = np.random.default_rng((seed, 7401))
         self._metres_per_tick = self.body.metres_per_tick * self._wheel_sizes()
@@ -75,6 +80,20 @@ class SimulatedRobot:
         left = any(-0.25 <= b <= 1.6 for b in bearings)
         right = any(-1.6 <= b <= 0.25 for b in bearings)
         return left, right
+
+    @property
+    def range_ahead(self) -> float | None:
+        """Metres from the front edge to what is straight ahead, infinite beyond the reach; None without a sensor."""
+        if not self._range_sensor:
+            return None
+        x, y, yaw = self._pose
+        c, s = math.cos(yaw), math.sin(yaw)
+        for k in range(round(RANGE_REACH / _BEAM) + 1):
+            away = ROBOT_RADIUS + k * _BEAM
+            # A disc that stands `away` from the centre touches what is half its size nearer.
+            if not self._world.free(x + away * c, y + away * s, _BEAM / 2.0):
+                return max(0.0, (k - 0.5) * _BEAM)
+        return math.inf
 
     def teleport(self, pose: Pose) -> None:
         """Carries the robot elsewhere; wheels and encoders don't notice. ValueError where it doesn't fit."""
