@@ -8,18 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
+from omnibotd.core.vision.camera_model import CameraModel
 from tools.sim import ceilings, panorama
-from tools.sim.world import (
-    CEILING,
-    CEILING_SCALE,
-    SIDE,
-    WALL_FOOT,
-    WALL_SCALE,
-    Beams,
-    Surfaces,
-    World,
-)
+from tools.sim.lens import Lens
+from tools.sim.room import CEILING_SCALE, WALL_FOOT, WALL_SCALE, Bar, Bars, Recess, Room, Surfaces
+from tools.sim.world import World
 
+SIDE, CEILING = 6.0, 2.7
 POSES = [(0.0, 0.0, 0.0), (1.2, -0.7, 0.9), (-1.9, 1.4, -2.6), (0.4, 2.0, math.pi / 2)]
 F = 240.0 / math.radians(95.0)
 CENTRE = (319.5, 239.5)
@@ -36,10 +31,15 @@ def spot(image: np.ndarray, x: float, y: float, scale: float, size: float = 0.1)
     return image
 
 
-def dark_room(ceiling: np.ndarray | None = None, walls: np.ndarray | None = None, hung: Beams | None = None) -> World:
+def dark_room(
+    ceiling: np.ndarray | None = None,
+    walls: np.ndarray | None = None,
+    bars: tuple[Bars, ...] = (),
+    recesses: tuple[Recess, ...] = (),
+) -> World:
     above = black(SIDE, SIDE, CEILING_SCALE) if ceiling is None else ceiling
     around = black(CEILING + WALL_FOOT, 4 * SIDE, WALL_SCALE) if walls is None else walls
-    return World(Surfaces(above, around, hung), seed=0)
+    return World(Surfaces(above, around, bars, recesses), seed=0)
 
 
 def brightest(picture: np.ndarray) -> np.ndarray:
@@ -86,7 +86,7 @@ def test_spot_on_each_wall_appears_where_geometry_puts_it(pose, along, point):
 
 def beam_room(underside: np.ndarray, ceiling: np.ndarray | None = None, flank_value: int = 0) -> World:
     flank = np.full((25, round(SIDE * CEILING_SCALE), 3), flank_value, np.uint8)
-    return dark_room(ceiling, hung=Beams(((0.9, 1.1),), 0.25, underside, flank))
+    return dark_room(ceiling, bars=(Bars("y", (Bar((0.9, 1.1), 0.25, flank),), underside),))
 
 
 @pytest.mark.parametrize("pose", POSES)
@@ -112,6 +112,66 @@ def test_the_flank_seen_is_the_one_that_faces_the_robot():
     rows = np.flatnonzero(picture[:, 320].max(axis=1) > 100)
     assert abs(rows.max() - (239.5 - F * math.atan2(0.9, 2.2))) < 1.5
     assert abs(rows.min() - (239.5 - F * math.atan2(0.9, 1.95))) < 1.5
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_spot_on_the_flank_of_a_bar_along_x_appears_where_geometry_puts_it(pose):
+    """The bar spans y from -2.3 to -2.1: every pose looks at its flank at y = -2.1, 0.1 m above its bottom."""
+    flank = black(0.3, SIDE, CEILING_SCALE)
+    flank[8:12, 348:352] = 255  # x from 0.48 to 0.52, 0.08 to 0.12 m up
+    bar = Bar((-2.3, -2.1), 0.4, flank, top=0.1)
+    world = dark_room(bars=(Bars("x", (bar,), black(SIDE, SIDE, CEILING_SCALE)),))
+    found = brightest(world.render(*pose, 0.0))
+    assert np.hypot(*(found - expected((0.5, -2.1, 2.4), pose))) < 0.7
+
+
+def test_the_lower_of_two_crossing_bars_hides_the_higher():
+    plane = np.full((600, 600, 3), 255, np.uint8)
+    flank = black(0.1, SIDE, CEILING_SCALE)
+    high = Bars("y", (Bar((-0.3, 0.3), 0.2, flank, top=0.1),), plane)
+    low = Bars("x", (Bar((-0.3, 0.3), 0.5, flank, top=0.4),), black(SIDE, SIDE, CEILING_SCALE))
+    for order in ((high, low), (low, high)):
+        picture = dark_room(bars=order).render(0.0, 0.0, 0.0, 0.0)
+        assert picture[239, 319].max() < 20  # the dark one, straight above
+        beyond = np.rint(expected((0.0, 1.2, 2.5), (0.0, 0.0, 0.0))).astype(int)
+        assert picture[beyond[1], beyond[0]].min() > 200
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_spot_on_the_top_of_a_recess_has_the_parallax_of_its_height(pose):
+    top = spot(black(4.0, 4.0, CEILING_SCALE), 2.2, 1.7, CEILING_SCALE)
+    sides = black(0.3, 16.0, WALL_SCALE)
+    world = dark_room(recesses=(Recess((-2.0, -2.0, 2.0, 2.0), 0.3, top, sides),))
+    found = brightest(world.render(*pose, 0.0))
+    assert np.hypot(*(found - expected((0.2, -0.3, 3.0), pose))) < 0.5
+
+
+def test_spot_on_the_side_of_a_recess_is_seen_from_below_it_only():
+    """On the side at x = 1, 0.15 m above the ceiling: hidden by the edge from x = 2 on the other side of it."""
+    sides = spot(black(0.3, 8.0, WALL_SCALE), 2.0 + 1.2, 0.15, WALL_SCALE, 0.125)  # the east side starts at 2 m
+    recess = Recess((-1.0, -1.0, 1.0, 1.0), 0.3, black(2.0, 2.0, CEILING_SCALE), sides)
+    world = dark_room(recesses=(recess,))
+    found = brightest(world.render(-0.4, 0.1, 0.3, 0.0))
+    assert np.hypot(*(found - expected((1.0, 0.2, 2.85), (-0.4, 0.1, 0.3)))) < 0.7
+    assert world.render(2.0, 0.0, 0.0, 0.0).max() < 20
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (2.9, -1.7, 0.9), (-3.2, 1.4, -2.6)])
+def test_rooms_of_other_size_height_and_lens_keep_their_geometry(pose):
+    """7 x 4 x 3.1 m, 170 degrees, axis 11 px right of and 7 px above the centre; a spot on the north wall."""
+    room, lens = Room(7.0, 4.0, 3.1), Lens(fov_deg=170.0, radius=220.0, offset=(11.0, -7.0))
+    walls = spot(black(3.1 + WALL_FOOT, 22.0, WALL_SCALE), 11.0 + 3.0, 0.75, WALL_SCALE, 0.125)
+    world = World(Surfaces(black(4.0, 7.0, CEILING_SCALE), walls), 0, lens, room)
+    point = np.array([0.5, 2.0, 3.1 - 0.75])  # 3 m from the north-east corner
+    assert world.bounds == (-3.5, -2.0, 3.5, 2.0)
+    dx, dy = point[:2] - pose[:2]
+    theta, bearing = math.atan2(math.hypot(dx, dy), point[2] - 0.5), math.atan2(dy, dx) - pose[2]
+    r = 220.0 * theta / math.radians(85.0)
+    wanted = np.array([330.5 + r * math.sin(bearing), 232.5 - r * math.cos(bearing)])
+    assert np.hypot(*(brightest(world.render(*pose, 0.0)) - wanted)) < 0.7
+    model = CameraModel.from_camera_info(world.camera_info, math.radians(170.0))
+    ray = [math.sin(theta) * math.cos(bearing), math.sin(theta) * math.sin(bearing), math.cos(theta)]
+    assert np.allclose(model.project(ray), wanted, atol=0.01)
 
 
 @pytest.mark.parametrize("factory", [ceilings.tiles, ceilings.plain, ceilings.beams])
@@ -148,32 +208,6 @@ def test_rim_is_darker_and_exposure_drifts_a_little():
     assert picture[235:245, 84:92].mean() < 0.85 * picture[235:245, 315:325].mean()
     means = [world.render(0.0, 0.0, 0.0, float(t))[200:280, 280:360].mean() for t in range(0, 60, 3)]
     assert 0.01 < np.std(means) / np.mean(means) < 0.06
-
-
-def test_lighting_changes_lamps_but_not_the_room():
-    nominal, off = ceilings.tiles(2), ceilings.tiles(2, light="lamps_off")
-    saturated = [int((w.render(0.0, 0.0, 0.0, 0.0)[120:360, 200:440] > 250).all(axis=2).sum()) for w in (nominal, off)]
-    assert saturated[0] > 300
-    assert saturated[1] == 0
-    half = ceilings.tiles(2, light="half_lamps").render(0.0, 0.0, 0.0, 0.0)
-    assert 0 < int((half[120:360, 200:440] > 250).all(axis=2).sum()) < saturated[0]
-
-
-def test_sun_lights_a_patch_of_the_ceiling_and_little_else():
-    nominal, sun = (ceilings.plain(2, light=name).render(0.0, 0.0, 0.0, 0.0) for name in ("nominal", "sun"))
-
-    def brighter_at(x: float, y: float) -> float:
-        u, v = np.rint(expected((x, y, 2.7), (0.0, 0.0, 0.0))).astype(int)
-        around = np.s_[v - 4 : v + 5, u - 4 : u + 5]
-        return float(sun[around].mean()) - float(nominal[around].mean())
-
-    assert brighter_at(-1.7, -1.4) > 40
-    assert abs(brighter_at(1.7, 1.4)) < 30
-
-
-def test_unknown_light_is_refused_by_name():
-    with pytest.raises(ValueError, match=r"'dusk'.*nominal.*sun"):
-        ceilings.beams(0, light="dusk")
 
 
 def test_free_is_the_floor_less_the_robots_radius():

@@ -1,6 +1,6 @@
 """Textures of a room packed into one picture, so that a frame is one `cv2.remap`.
 
-A plane at a fixed height is seen under a scale that depends on the pixel alone, so each pixel has its own
+A plane at a fixed height is seen under a scale that depends on the zenith angle alone, so each ray has its own
 level of a pyramid, found once. Texel i of a texture with p texels a metre covers [i / p, (i + 1) / p].
 """
 
@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
-Floats = NDArray[np.float32]
+from tools.sim.lens import Image
 
 LEVELS = 7  # of a pyramid, half an octave apart: down to 1/8, what the ceiling needs 70 degrees off the zenith
 _MARGIN = 2  # texels repeated around each texture: bilinear sampling reads one beyond the edge
@@ -53,30 +51,10 @@ class Atlas:
         return patches
 
     def picture(self) -> Image:
-        """Everything added, in one image (H, W, 3); unused parts are black."""
-        out = np.zeros((self._height, max(row.shape[1] for row in self._rows), 3), np.uint8)
+        """Everything added, in one image (H, W, 4): OpenCV samples four channels faster than three."""
+        out = np.zeros((self._height, max(row.shape[1] for row in self._rows), 4), np.uint8)
         top = 0
         for row in self._rows:
-            out[top : top + row.shape[0], : row.shape[1]] = row
+            out[top : top + row.shape[0], : row.shape[1], :3] = row
             top += row.shape[0]
         return out
-
-
-class PlaneMap:
-    """Atlas coordinates of the points where the pixels' rays pierce a horizontal plane above the camera."""
-
-    def __init__(self, reach: Floats, bearing: Floats, seen_scale: Floats, patches: list[Patch]) -> None:
-        """`reach` metres across the floor to the hit; `seen_scale` px a metre there; all (n,)."""
-        wanted = 2.0 * np.log2(patches[0].scale / np.maximum(seen_scale, 1e-3))
-        level = np.clip(np.rint(wanted), 0, len(patches) - 1).astype(int)
-        scale, column, row = (
-            np.array([getattr(p, name) for p in patches], np.float32)[level] for name in ("scale", "column", "row")
-        )
-        along, left = scale * reach * np.cos(bearing), scale * reach * np.sin(bearing)
-        self._basis = np.stack([along, left, scale, column, row]).astype(np.float32)
-
-    def coordinates(self, x: float, y: float, cos: float, sin: float) -> Floats:
-        """(2, n) atlas columns and rows; camera (x, y) m from the texture's corner, heading (cos, sin)."""
-        move = np.array([[cos, -sin, x, 1.0, 0.0], [sin, cos, y, 0.0, 1.0]], np.float32)
-        # Not `@`: BLAS would wake a thread per core for a quarter of a millisecond's work, and spin in the rest.
-        return np.asarray(np.einsum("ij,jn->in", move, self._basis), np.float32)

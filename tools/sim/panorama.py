@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.sim.lens import Image
-from tools.sim.world import CAMERA, CEILING, CEILING_SCALE, HEADROOM, SIDE, WALL_FOOT, WALL_SCALE
+from tools.sim.lens import Image, Sensor
+from tools.sim.lighting import strip_points, strip_shape
+from tools.sim.room import CEILING_SCALE, WALL_SCALE, Room
 
 PHOTOGRAPHS = ("lobby", "workshop", "hall", "apartment")
 _KEY = 0.42  # the grey, gamma-coded, that the median of the upper hemisphere becomes
@@ -29,7 +30,7 @@ def data_folder() -> Path:
     return Path(given) if given else Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
-def load_panorama(seed: int) -> tuple[Image, Image]:
+def load_panorama(seed: int, room: Room) -> tuple[Image, Image]:
     """(ceiling, walls) textures from photograph `seed` modulo their count, turned at random."""
     path = data_folder() / "ceilings_hdr" / f"{PHOTOGRAPHS[seed % len(PHOTOGRAPHS)]}.hdr"
     if not path.exists():
@@ -39,7 +40,7 @@ def load_panorama(seed: int) -> tuple[Image, Image]:
         raise PanoramaError(f"{path} is no HDR picture that OpenCV can read")
     picture = _tone_map(np.asarray(radiance, np.float32))
     turn = float(np.random.default_rng((seed, 4)).uniform(0.0, 2.0 * math.pi))
-    return _sample(picture, *_ceiling_rays(), turn), _sample(picture, *_wall_rays(), turn)
+    return _sample(picture, *_ceiling_rays(room), turn), _sample(picture, *_wall_rays(room), turn)
 
 
 def _tone_map(radiance: NDArray[np.float32]) -> Image:
@@ -47,28 +48,24 @@ def _tone_map(radiance: NDArray[np.float32]) -> Image:
     upper = radiance[: radiance.shape[0] // 2].mean(axis=2)
     scaled = radiance * (_KEY**2.2 / float(np.median(upper)))
     soft = np.where(scaled < 0.6, scaled, 0.6 + (scaled - 0.6) / (1.0 + 0.25 * (scaled - 0.6)))
-    grey = soft ** (1 / 2.2) * (255.0 / HEADROOM)
+    grey = soft ** (1 / 2.2) * (255.0 / Sensor.HEADROOM)
     return np.asarray(np.clip(np.rint(grey), 0, 255), np.uint8)
 
 
-def _ceiling_rays() -> tuple[Floats, Floats, Floats]:
-    n = round(SIDE * CEILING_SCALE)
-    at = (np.arange(n) + 0.5) / CEILING_SCALE - SIDE / 2
-    x, y = np.meshgrid(at, at)
-    return x, y, np.full_like(x, CEILING - CAMERA)
+def _ceiling_rays(room: Room) -> tuple[Floats, Floats, Floats]:
+    across, along = (
+        (np.arange(round(size * CEILING_SCALE)) + 0.5) / CEILING_SCALE for size in (room.width, room.depth)
+    )
+    x, y = np.meshgrid(across - room.width / 2, along - room.depth / 2)
+    return x, y, np.full_like(x, room.rise)
 
 
-def _wall_rays() -> tuple[Floats, Floats, Floats]:
-    """To the strip round the room: south, east, north, west, counter-clockwise."""
-    rows, columns = round((CEILING + WALL_FOOT) * WALL_SCALE), round(4 * SIDE * WALL_SCALE)
-    along = (np.arange(columns) + 0.5) / WALL_SCALE
-    wall, offset = np.divmod(along, SIDE)
-    angle = wall * (math.pi / 2)
-    x, y = offset - SIDE / 2, -SIDE / 2
-    up = CEILING - CAMERA - (np.arange(rows)[:, None] + 0.5) / WALL_SCALE
-    east, north = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
-    shape = (rows, columns)
-    return np.broadcast_to(east, shape), np.broadcast_to(north, shape), np.broadcast_to(up, shape)
+def _wall_rays(room: Room) -> tuple[Floats, Floats, Floats]:
+    """To the strip round the room."""
+    rows, columns = shape = strip_shape(room)
+    x, y = strip_points(room, (np.arange(columns) + 0.5) / WALL_SCALE)
+    up = room.rise - (np.arange(rows)[:, None] + 0.5) / WALL_SCALE
+    return np.broadcast_to(x, shape), np.broadcast_to(y, shape), np.broadcast_to(up, shape)
 
 
 def _sample(picture: Image, x: Floats, y: Floats, up: Floats, turn: float) -> Image:

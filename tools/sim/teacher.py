@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import random
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -73,6 +73,12 @@ class Area:
             raise NoWay(f"bounds {world.bounds} leave no floor {margin} m from the walls to teach")
         return cls(*low, *high)
 
+    def half(self) -> Area:
+        """The lower half of the longer side, so that the other is left unknown."""
+        if self.xmax - self.xmin >= self.ymax - self.ymin:
+            return replace(self, xmax=(self.xmin + self.xmax) / 2.0)
+        return replace(self, ymax=(self.ymin + self.ymax) / 2.0)
+
     def sample(self, rng: random.Random) -> tuple[float, float]:
         return rng.uniform(self.xmin, self.xmax), rng.uniform(self.ymin, self.ymax)
 
@@ -98,17 +104,18 @@ def clear_way(world: World, start: tuple[float, float], end: tuple[float, float]
 class Teacher:
     """Drives to random way-points of an area, straight and unhurried; the same seed drives the same way."""
 
-    def __init__(self, robot: Drivable, area: Area, seed: int) -> None:
+    def __init__(self, robot: Drivable, area: Area, seed: int, speed: float = SPEED) -> None:
         self._robot = robot
         self._area = area
         self._rng = random.Random(seed)
+        self._speed = speed
 
     async def wander(self, seconds: float) -> None:
         """Drive about until the time is over, then stop."""
         end = asyncio.get_running_loop().time() + seconds
         while asyncio.get_running_loop().time() < end:
-            await self._drive_to(self._next_waypoint(), ARRIVED, end)
-        await self._stand()
+            await self.drive_to(self._next_waypoint(), ARRIVED, end)
+        await self.stand()
 
     async def park(self, pose: Pose2D) -> None:
         """Drive to `pose` over a point straight behind it, then push the robot into place by hand."""
@@ -116,22 +123,23 @@ class Teacher:
         for _ in range(TRIES):
             if clear_way(self._robot.world, self._here, (behind.x, behind.y)):
                 break
-            await self._drive_to(self._next_waypoint(), ARRIVED)
-        await self._drive_to((behind.x, behind.y), 0.03)
-        await self._drive_to((pose.x, pose.y), 0.03)
+            await self.drive_to(self._next_waypoint(), ARRIVED)
+        await self.drive_to((behind.x, behind.y), 0.03)
+        await self.drive_to((pose.x, pose.y), 0.03)
         await self._turn_to(pose.yaw)
-        await self._stand()
+        await self.stand()
         self._robot.teleport(pose)
 
     @property
     def _here(self) -> tuple[float, float]:
         return self._robot.pose.x, self._robot.pose.y
 
-    async def _drive_to(self, point: tuple[float, float], near: float, end: float = math.inf) -> None:
+    async def drive_to(self, point: tuple[float, float], near: float = ARRIVED, end: float = math.inf) -> None:
+        """Drive straight to the point, or until the time `end`."""
         loop = asyncio.get_running_loop()
         end = min(end, loop.time() + LEG_LIMIT)
         while loop.time() < end and math.dist(self._here, point) > near:
-            await self._robot.drive(towards(self._robot.pose, point))
+            await self._robot.drive(towards(self._robot.pose, point, self._speed))
             await asyncio.sleep(PERIOD)
 
     async def _turn_to(self, yaw: float) -> None:
@@ -140,7 +148,8 @@ class Teacher:
             await self._robot.drive(Twist2D(0.0, 1.5 * wrap(yaw - self._robot.pose.yaw)))
             await asyncio.sleep(PERIOD)
 
-    async def _stand(self) -> None:
+    async def stand(self) -> None:
+        """Stop, and wait until the wheels have."""
         await self._robot.drive(STOP)
         await asyncio.sleep(1.0)
 
@@ -152,18 +161,18 @@ class Teacher:
         raise NoWay(f"no free straight way out of {self._here} found in {TRIES} tries")
 
 
-def towards(pose: Pose2D, point: tuple[float, float]) -> Twist2D:
+def towards(pose: Pose2D, point: tuple[float, float], speed: float = SPEED) -> Twist2D:
     """Turn to the point on the spot, then drive there on a curve."""
     target = Pose2D(*point)
     bearing = pose.bearing(target)
     turn = max(-TURN_RATE, min(TURN_RATE, 1.5 * bearing))
     if abs(bearing) > TURN_ON_THE_SPOT:
         return Twist2D(0.0, turn)
-    return Twist2D(min(SPEED, 0.9 * pose.distance(target)), turn)
+    return Twist2D(min(speed, 0.9 * pose.distance(target)), turn)
 
 
-async def teach(robot: Drivable, teacher: Teacher, name: str, seconds: float, park: Pose2D | None = None) -> Path:
-    """Record a drive round the teacher's area, make a map of it and use it; returns the recording.
+async def record(robot: Drivable, teacher: Teacher, name: str, seconds: float, park: Pose2D | None = None) -> Path:
+    """Record a drive round the teacher's area; returns the recording.
 
     With `park` the drive ends there, as one that ends in the dock does. Raises RpcError.
     """
@@ -172,9 +181,15 @@ async def teach(robot: Drivable, teacher: Teacher, name: str, seconds: float, pa
     if park is not None:
         await teacher.park(park)
     await robot.call("record.stop")
+    return Path(started["path"])
+
+
+async def teach(robot: Drivable, teacher: Teacher, name: str, seconds: float, park: Pose2D | None = None) -> Path:
+    """`record`, then make a map of it and use it. Raises RpcError."""
+    recording = await record(robot, teacher, name, seconds, park)
     await robot.call("train", map=name)
     await robot.call("map.use", map=name)
-    return Path(started["path"])
+    return recording
 
 
 async def save_dock(robot: Drivable, teacher: Teacher, name: str, pose: Pose2D) -> dict[str, Any]:

@@ -6,12 +6,12 @@ What stands in for hardware is the far side of two adapters: bytes of the base's
 from __future__ import annotations
 
 import asyncio
-import bisect
 import math
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -25,7 +25,7 @@ from firmware_bridge.device import OmnibotDevice
 from omnibotd.config import load
 from omnibotd.core.geometry import Pose2D, Twist2D
 from omnibotd.core.mapping.topo_map import TopoMap
-from omnibotd.core.vision.camera_model import CameraModel
+from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.frame import Frame
 from omnibotd.daemon import Adapters, Daemon
 from omnibotd.io.map_store import MapStore
@@ -34,16 +34,18 @@ from omnibotd.io.recorder import Recorder
 from omnibotd.io.systemd_notify import Notifier
 from omnibotd.training_process import train_and_save
 from tools.sim.plant import ROBOT_RADIUS, SimulatedRobot
+from tools.sim.track import Track
 from tools.sim.world_plugin import World, WorldError
 
 FRAME_PERIOD = 0.1  # s; what the control tick can use
 EXPOSURE_TO_ARRIVAL = 0.03  # s; a webcam's MJPEG frame over USB 2, and the daemon stamps arrivals
 JPEG_QUALITY = 90
-STEP = 0.01  # s of the robot's body: half the period of the base's telemetry
+STEP = 0.02  # s of the robot's body: the period of the base's telemetry; the plant makes its own smaller steps
 READY_LIMIT = 10.0  # s until base and camera must have answered
+STORAGE = "storage"  # folder of maps and recordings, beside the configuration
 LINE_BUFFER = 4096  # bytes, as a pty holds; nobody reads while the daemon reconnects
 RECORDS_WAITING = 32  # enough to keep the recorder's thread busy, too few to make it drop a frame
-TRUTH_LIMIT = 40_000  # frames whose true pose is remembered: an hour, longer than anybody teaches
+TRUTH_LIMIT = 100_000  # frames whose true pose is remembered: twice the 75 minutes the thesis taught
 
 
 class MemoryLink:
@@ -122,7 +124,17 @@ class PatientRecorder(Recorder):
 class VirtualRobot:
     """A robot in a world, and the daemon that drives it; make it inside `virtual_robot`."""
 
-    def __init__(self, world: World, seed: int, start: Pose2D, directory: Path) -> None:
+    def __init__(
+        self,
+        world: World,
+        seed: int,
+        start: Pose2D,
+        directory: Path,
+        *,
+        preset: str = "default",
+        wheel_error: float = 0.0,
+    ) -> None:
+        """Configuration and storage go to `directory`; wheels are by the share `wheel_error` larger than it says."""
         self.world = world
         with _room_for_robot():
             self.plant = SimulatedRobot(world, (start.x, start.y, start.yaw), seed)
@@ -133,7 +145,7 @@ class VirtualRobot:
         self.seconds = 0.0  # lived
         self._truth: deque[tuple[float, Pose2D]] = deque(maxlen=TRUTH_LIMIT)
         self._ticks = [0, 0]
-        config = load(_write_config(world, self.plant, directory))
+        config = load(_write_config(world, self.plant, directory, preset, wheel_error))
         height, width = world.render(*self.plant.pose, 0.0).shape[:2]
         self.camera = MemoryCamera(self._photograph, (width, height))
         self.store = MapStore(config.storage.directory)
@@ -151,10 +163,23 @@ class VirtualRobot:
         with _room_for_robot():
             self.plant.teleport((pose.x, pose.y, pose.yaw))
 
+    def track(self) -> Track:
+        """Where the frames were taken, by their stamps."""
+        return Track.of(self._truth)
+
     def true_pose_at(self, stamp: float) -> Pose2D:
-        """Where the frame with this stamp was taken."""
-        after = bisect.bisect_left(self._truth, stamp - FRAME_PERIOD / 2.0, key=lambda entry: entry[0])
-        return self._truth[min(after, len(self._truth) - 1)][1]
+        """Where the frame with this stamp, one of the last few, was taken."""
+        return min(islice(reversed(self._truth), 10), key=lambda entry: abs(entry[0] - stamp))[1]
+
+    def overhear(self, listener: Callable[[PlaceEstimate], None]) -> None:
+        """Tell the listener of every place estimate as soon as the control loop has it."""
+        note = self.daemon.control.note_place
+
+        def heard(place: PlaceEstimate) -> None:
+            note(place)
+            listener(place)
+
+        self.daemon.control.note_place = heard
 
     async def call(self, method: str, **params: Any) -> dict[str, Any]:
         """A request as from the control socket. Raises RpcError."""
@@ -166,6 +191,8 @@ class VirtualRobot:
     async def live(self) -> None:
         """The robot's body, for ever: wheels, senses, and bytes from the base."""
         loop = asyncio.get_running_loop()
+        # Between the camera's and the control loop's instants: which of two comes first would be left to rounding.
+        await asyncio.sleep(STEP / 2.0)
         while True:
             await asyncio.sleep(STEP)
             self.seconds += STEP
@@ -178,15 +205,14 @@ class VirtualRobot:
 
     async def ready(self) -> None:
         """Wait until the daemon has its base and its camera's lens. Raises TimeoutError with the reasons."""
-        loop = asyncio.get_running_loop()
-        end = loop.time() + READY_LIMIT
-        while True:
+        try:
+            async with asyncio.timeout(READY_LIMIT):
+                await self.daemon.perception.lens_known.wait()
+                while not (await self.call("status"))["base"]["connected"]:  # noqa: ASYNC110 - nothing tells
+                    await asyncio.sleep(0.1)
+        except TimeoutError:
             status = await self.call("status")
-            if status["base"]["connected"] and self.daemon.perception.model is not None:
-                return
-            if loop.time() > end:
-                raise TimeoutError(f"not ready: base {status['base']}, camera {status['camera']}")
-            await asyncio.sleep(0.1)
+            raise TimeoutError(f"not ready: base {status['base']}, camera {status['camera']}") from None
 
     def _sense(self) -> None:
         left, right = self.plant.bumpers
@@ -203,13 +229,23 @@ class VirtualRobot:
 
 
 @asynccontextmanager
-async def virtual_robot(world: World, seed: int, start: Pose2D | None = None) -> AsyncIterator[VirtualRobot]:
+async def virtual_robot(
+    world: World,
+    seed: int,
+    start: Pose2D | None = None,
+    *,
+    preset: str = "default",
+    wheel_error: float = 0.0,
+    directory: Path | None = None,
+) -> AsyncIterator[VirtualRobot]:
     """A robot that lives, daemon and all, inside this block; it stands at `start`, default somewhere free.
 
-    Raises what ended the daemon or the body, should one of them fail.
+    `directory` keeps configuration and storage, default one that vanishes at the end. Raises what ended the daemon or
+    the body, should one of them fail.
     """
-    with TemporaryDirectory(prefix="omnibot-") as directory, _unwrapped():
-        robot = VirtualRobot(world, seed, start or somewhere(world), Path(directory))
+    with TemporaryDirectory(prefix="omnibot-") as passing, _unwrapped():
+        place = start or somewhere(world)
+        robot = VirtualRobot(world, seed, place, directory or Path(passing), preset=preset, wheel_error=wheel_error)
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(robot.live()), group.create_task(robot.daemon.run())]
             await robot.ready()
@@ -253,13 +289,11 @@ async def _in_place(function: Callable[..., Any], *arguments: Any) -> Any:
     return function(*arguments)
 
 
-async def _train_in_place(
-    recording: Path, name: str, store: MapStore, model: CameraModel, progress: Callable[[str, float], None]
-) -> TopoMap:
-    return train_and_save(recording, name, store, model, progress)
+async def _train_in_place(*arguments: Any) -> TopoMap:
+    return train_and_save(*arguments)
 
 
-def _write_config(world: World, plant: SimulatedRobot, directory: Path) -> Path:
+def _write_config(world: World, plant: SimulatedRobot, directory: Path, preset: str, wheel_error: float) -> Path:
     """A configuration file as a user would write it for this robot."""
     camera: dict[str, Any] = {"source": "http://simulated/", "fov_deg": float(world.fov_deg)}
     info = getattr(world, "camera_info", None)
@@ -269,11 +303,12 @@ def _write_config(world: World, plant: SimulatedRobot, directory: Path) -> Path:
     base = {
         "driver": "omnibot",
         "port": "/dev/simulated",
-        "wheel_radius": plant.body.wheel_radius,
+        "wheel_radius": plant.body.wheel_radius / (1.0 + wheel_error),
         "wheel_separation": plant.body.wheel_separation,
         "robot_radius": ROBOT_RADIUS,
     }
-    config = {"camera": camera, "base": base, "storage": {"directory": "storage"}}
+    navigation = {"preset": preset}
+    config = {"camera": camera, "base": base, "navigation": navigation, "storage": {"directory": STORAGE}}
     path = directory / "omnibotd.yaml"
     path.write_text(yaml.safe_dump(config), "utf-8")
     return path

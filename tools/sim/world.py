@@ -1,85 +1,85 @@
-"""A square room under a fisheye camera that looks up: what the robot sees and where it can stand.
+"""A room under a fisheye camera that looks up: what the robot sees and where it can stand.
 
-The room is a box: a ceiling, four walls in one strip (counter-clockwise from the corner at xmin, ymin), in some
-rooms beams under the ceiling. Every pixel's ray ends at the first of these that it meets.
+The room is a box; below its ceiling may hang bars, and parts of the ceiling may be recessed. Every pixel's ray
+ends at the first of these that it meets.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from tools.sim.atlas import Atlas, PlaneMap
-from tools.sim.lens import Floats, Image, Lens, Sensor
-
-SIDE = 6.0  # m, the room is square and centred on the origin
-CEILING = 2.7  # m above the floor
-CAMERA = 0.5
-CEILING_SCALE = 100.0  # texels a metre; the camera sees 66 px a metre straight above
-WALL_SCALE = 64.0
-WALL_FOOT = 0.3  # m of floor below the wall's strip: rays below the horizon end there
-HEADROOM = 1.45  # textures are rendered darker by this, so that lamps stay saturated under vignetting
-
-_AZIMUTHS = 16384  # of the table of distances to the walls: 0.1 px at the image's rim
-_EDGES = 1000  # texels a metre of the table of beam edges
-
-
-@dataclass(frozen=True)
-class Beams:
-    """Beams along y, hanging `drop` m below the ceiling: `spans` in x, and how undersides and flanks look."""
-
-    spans: tuple[tuple[float, float], ...]
-    drop: float
-    underside: Image
-    flank: Image
-
-
-@dataclass(frozen=True)
-class Surfaces:
-    """Textures (H, W, 3): ceiling (x, y from its corner), walls (round the room, downwards), beams."""
-
-    ceiling: Image
-    walls: Image
-    beams: Beams | None = None
+from tools.sim.atlas import Atlas
+from tools.sim.casting import Coffer, Complexes, Eye, Lattice, Plane, SunPatch, Walls
+from tools.sim.lens import Floats, Image, Lens, Rays, Sensor
+from tools.sim.room import Room, Surfaces
 
 
 class World:
-    """A room seen by a camera 0.5 m above its floor; the same seed gives the same pictures."""
+    """A room seen by a camera 0.5 m above its floor; the same seed gives the same pictures.
 
-    def __init__(self, surfaces: Surfaces, seed: int, lens: Lens | None = None) -> None:
-        self.lens = lens or Lens()
-        self._sensor = Sensor(self.lens, seed, HEADROOM)
-        theta, bearing = self.lens.rays()
-        self._shape = theta.shape
-        theta, bearing = theta.ravel(), bearing.ravel()
-        self._tan = np.tan(np.minimum(theta, math.radians(89.0))).astype(np.float32)
-        self._cot = (1.0 / np.tan(np.maximum(theta, 1e-4))).astype(np.float32)
-        self._azimuth = np.rint(bearing % (2 * math.pi) * (_AZIMUTHS / (2 * math.pi))).astype(np.intp) % _AZIMUTHS
-        self._outside = np.flatnonzero(theta > math.radians(self.lens.fov_deg / 2.0))
-        self._rise = CEILING - CAMERA
+    Pictures are made in buffers of the world's own: one thread at a time.
+    """
+
+    def __init__(
+        self,
+        surfaces: Surfaces,
+        seed: int,
+        lens: Lens | None = None,
+        room: Room | None = None,
+        noise: float = Sensor.NOISE,
+    ) -> None:
+        """`noise`: of the sensor, standard deviation in grey values."""
+        self.surfaces, self.seed, self.noise = surfaces, seed, noise
+        self.lens, self.room = lens or Lens(), room or Room()
+        self._rays = rays = Rays(self.lens)
+        self._sensor = Sensor(rays, seed, noise)
         atlas = Atlas()
-        self._ceiling = self._plane(theta, bearing, self._rise, atlas, surfaces.ceiling)
-        self._walls = atlas.add(surfaces.walls, WALL_SCALE)
-        self._beams = None
-        if surfaces.beams is not None:
-            self._beams = _BeamCaster(self, surfaces.beams, atlas, theta, bearing)
-        self._black = atlas.add(np.zeros((4, 4, 3), np.uint8), 1.0)
+        black = atlas.add(np.zeros((4, 4, 3), np.uint8), 1.0)
+        corner = (-self.room.width / 2, -self.room.depth / 2)
+        self._ceiling = Plane(rays, atlas, surfaces.ceiling, self.room.rise, corner)
+        self._coffers = [Coffer(rays, atlas, recess, self.room.rise) for recess in surfaces.recesses]
+        self._lattices = [Lattice(rays, atlas, bars, self.room) for bars in surfaces.bars]
+        self._walls = Walls(rays, atlas, surfaces.walls, self.room)  # last: below its strip the floor goes on
         self._atlas = atlas.picture()
-        station = np.random.default_rng((seed, 7302)).uniform(-1.5, 1.5)
-        self._dock = (SIDE / 2 - 0.22, round(float(station), 3), 0.0)
+        sun = surfaces.sunlight
+        self._sun = SunPatch(sun, surfaces.walls, self._walls.patch) if sun else None
+        self._to = np.full(rays.padded, complex(black.column + 2, black.row + 2), np.complex64)
+        self._pixels = np.empty((rays.padded // rays.ROW, rays.ROW, 4), np.uint8)
+        station = np.random.default_rng((seed, 7302)).uniform(-0.25, 0.25) * self.room.depth
+        self._dock = (self.room.width / 2 - 0.22, round(float(station), 3), 0.0)
+
+    def with_surfaces(self, surfaces: Surfaces) -> World:
+        """The same room, camera and seed with other surfaces."""
+        return World(surfaces, self.seed, self.lens, self.room, self.noise)
 
     @property
     def fov_deg(self) -> float:
         return self.lens.fov_deg
 
     @property
+    def camera_info(self) -> dict[str, Any] | None:
+        """The calibration in the ROS layout; None where the image circle just fills the picture."""
+        lens = self.lens
+        if lens.offset == (0.0, 0.0) and lens.radius == min(lens.width, lens.height) / 2:
+            return None
+        cx, cy = (lens.width - 1) / 2 + lens.offset[0], (lens.height - 1) / 2 + lens.offset[1]
+        return {
+            "image_width": lens.width,
+            "image_height": lens.height,
+            "distortion_model": "equidistant",
+            "camera_matrix": {"rows": 3, "cols": 3, "data": [lens.focal, 0.0, cx, 0.0, lens.focal, cy, 0.0, 0.0, 1.0]},
+            "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.0] * 4},
+        }
+
+    @property
     def bounds(self) -> tuple[float, float, float, float]:
         """(xmin, ymin, xmax, ymax) of the floor, metres."""
-        return (-SIDE / 2, -SIDE / 2, SIDE / 2, SIDE / 2)
+        x, y = self.room.width / 2, self.room.depth / 2
+        return (-x, -y, x, y)
 
     @property
     def dock(self) -> tuple[float, float, float]:
@@ -96,93 +96,35 @@ class World:
 
         A place outside the room is moved just inside its walls: there is nothing to see beyond.
         """
-        inside = SIDE / 2 - 0.01
-        x, y = min(max(x, -inside), inside), min(max(y, -inside), inside)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        across, along_wall = self._walls_around(x, y, yaw)
-        reach = across.take(self._azimuth)
-        to = self._ceiling.coordinates(x + SIDE / 2, y + SIDE / 2, cos, sin)
-        hit = self._tan * np.float32(self._rise)
-        if self._beams is not None:
-            self._beams.cast(to, hit, x, y, yaw)
-        self._map_walls(to, hit > reach, reach, along_wall)
-        to[:, self._outside] = np.array([[self._black.column + 2], [self._black.row + 2]], np.float32)
-        columns, rows = to[0].reshape(self._shape), to[1].reshape(self._shape)
-        block = cv2.remap(self._atlas, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        canvas = np.zeros((self.lens.height, self.lens.width, 3), np.uint8)
-        return self._sensor.expose(np.asarray(block, np.uint8), canvas, self.lens, (t, x, y, yaw))
+        xmax, ymax = self.bounds[2] - 0.01, self.bounds[3] - 0.01
+        self._cast(Eye(min(max(x, -xmax), xmax), min(max(y, -ymax), ymax), yaw))
+        if self._sun:
+            self._sun.paint(self._atlas, t)
+        pairs = self._to.view(np.float32).reshape(*self._pixels.shape[:2], 2)
+        cv2.remap(self._atlas, pairs, None, cv2.INTER_LINEAR, dst=self._pixels, borderMode=cv2.BORDER_REPLICATE)
+        return self._sensor.expose(self._pixels, (t, x, y, yaw))
 
-    def seen_scale(self, theta: Floats, rise: float) -> Floats:
-        """Pixels a metre at which a plane `rise` m above the camera appears (geometric mean of both axes)."""
-        angle = np.clip(theta, 1e-3, math.radians(89.0))
-        radial = self.lens.focal * np.cos(angle) ** 2 / rise
-        tangential = self.lens.focal * angle / (rise * np.tan(angle))
-        return np.asarray(np.sqrt(radial * tangential), np.float32)
+    def _cast(self, eye: Eye) -> None:
+        """Finds for every ray the texel that it ends at: from some angle on that can only be a wall's."""
+        reach = (self.room.width / 2 - abs(eye.x), self.room.depth / 2 - abs(eye.y))
+        farthest = math.hypot(self.room.width - reach[0], self.room.depth - reach[1])
+        lowest = min((lattice.lowest for lattice in self._lattices), default=self.room.rise)
+        maybe = self._rays.within(math.atan(min(reach) / self.room.rise))
+        only = self._rays.beyond(math.atan(farthest / lowest))
+        heights = self._cast_overhead(self._to[:only], eye)
+        table = self._walls.table(eye)
+        walls = np.empty(only - maybe, np.complex64)
+        self._walls.cast(walls, table, maybe)
+        below = self._walls.below(walls, heights[maybe:])
+        np.copyto(self._to[maybe:only], walls, where=below)
+        self._walls.cast(self._to[only : self._rays.count], table, only)
 
-    def _plane(self, theta: Floats, bearing: Floats, rise: float, atlas: Atlas, texture: Image) -> PlaneMap:
-        patches = atlas.add_pyramid(texture, CEILING_SCALE)
-        return PlaneMap(self._tan * np.float32(rise), bearing, self.seen_scale(theta, rise), patches)
-
-    def _walls_around(self, x: float, y: float, yaw: float) -> tuple[Floats, Floats]:
-        """For each azimuth of the table: metres to the wall, and metres round the room to the point hit."""
-        world = np.arange(_AZIMUTHS) * (2 * math.pi / _AZIMUTHS) + yaw
-        cos, sin = np.cos(world), np.sin(world)
-        half = SIDE / 2
-        with np.errstate(divide="ignore"):
-            to_x = (np.copysign(half, cos) - x) / cos
-            to_y = (np.copysign(half, sin) - y) / sin
-        across = np.minimum(to_x, to_y)
-        hit_x, hit_y = x + across * cos, y + across * sin
-        south_north = np.where(sin < 0, half + hit_x, 2 * SIDE + half - hit_x)
-        east_west = np.where(cos > 0, SIDE + half + hit_y, 3 * SIDE + half - hit_y)
-        return across.astype(np.float32), np.where(to_y < to_x, south_north, east_west).astype(np.float32)
-
-    def _map_walls(self, to: Floats, wall: NDArray[np.bool_], reach: Floats, along_wall: Floats) -> None:
-        """Points the pixels of the mask `wall` at the walls' strip, in place; `reach` is used up."""
-        patch = self._walls
-        scale, row = np.float32(patch.scale), np.float32(patch.row)
-        columns = along_wall * scale + np.float32(patch.column)
-        np.copyto(to[0], columns.take(self._azimuth), where=wall)
-        rows = np.multiply(reach, self._cot, out=reach)  # metres above the camera
-        rows *= -scale
-        rows += row + scale * np.float32(self._rise)
-        np.clip(rows, row, row + scale * np.float32(CEILING + WALL_FOOT), out=rows)
-        np.copyto(to[1], rows, where=wall)
-
-
-class _BeamCaster:
-    """Finds which rays end on a beam: on its underside, or on the flank met between underside and ceiling."""
-
-    def __init__(self, world: World, beams: Beams, atlas: Atlas, theta: Floats, bearing: Floats) -> None:
-        self._drop = np.float32(beams.drop)
-        self._low = np.float32(CEILING - CAMERA - beams.drop)
-        self._tan, self._bearing = world._tan, bearing
-        self._cos, self._sin = np.cos(bearing), np.sin(bearing)
-        self._plane = world._plane(theta, bearing, float(self._low), atlas, beams.underside)
-        self._flank = atlas.add(beams.flank, CEILING_SCALE)
-        at = (np.arange(int(SIDE * _EDGES)) + 0.5) / _EDGES - SIDE / 2
-        starts, ends = np.array(beams.spans).T
-        self._under = np.any((at >= starts[:, None]) & (at < ends[:, None]), axis=0)
-        next_start = np.searchsorted(starts, at)
-        self._ahead = np.append(starts, np.inf)[next_start].astype(np.float32)
-        self._behind = np.append(-np.inf, ends)[np.searchsorted(ends, at)].astype(np.float32)
-
-    def cast(self, to: Floats, hit: Floats, x: float, y: float, yaw: float) -> None:
-        """Corrects in place what is hit (`to`, atlas coordinates) and how far across the floor (`hit`)."""
-        cos, sin = np.float32(math.cos(yaw)), np.float32(math.sin(yaw))
-        east = self._cos * cos - self._sin * sin
-        enters = self._tan * self._low * east + np.float32(x)
-        cell = np.clip((enters + SIDE / 2) * _EDGES, 0, SIDE * _EDGES - 1).astype(np.intp)
-        edge = np.where(east > 0, self._ahead.take(cell), self._behind.take(cell))
-        flank = np.flatnonzero((edge - (hit * east + np.float32(x))) * np.sign(east) < 0)
-        across = (edge[flank] - np.float32(x)) / east[flank]
-        north = self._sin[flank] * cos + self._cos[flank] * sin
-        up = (across / self._tan[flank] - self._low) / self._drop
-        patch = self._flank
-        to[0, flank] = (across * north + np.float32(y + SIDE / 2)) * patch.scale + patch.column
-        to[1, flank] = np.clip(up, 0.0, 1.0) * self._drop * patch.scale + patch.row
-        hit[flank] = across
-        under = np.flatnonzero(self._under.take(cell))
-        low = self._plane.coordinates(x + SIDE / 2, y + SIDE / 2, float(cos), float(sin))
-        to[:, under] = low[:, under]
-        hit[under] = self._tan[under] * self._low
+    def _cast_overhead(self, to: Complexes, eye: Eye) -> Floats:
+        """Points rays at the ceiling and what is in and under it; returns how high above the camera they end."""
+        self._ceiling.cast(to, eye)
+        heights = np.full(len(to), self.room.rise, np.float32)
+        for coffer in self._coffers:
+            coffer.cast(to, eye)
+        for lattice in self._lattices:
+            lattice.cast(to, heights, eye)
+        return heights

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
-from typing import Any, Protocol
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -34,6 +35,23 @@ class World(Protocol):
 
 def load_world(name: str, seed: int) -> World:
     """The world that MODULE:FACTORY makes of `seed`; raises WorldError saying what it lacks."""
+    return _made(name, seed, {})
+
+
+def relit_world(name: str, seed: int, light: str) -> World | None:
+    """The same room under another light; None where its factory takes no `light`, or not this one."""
+    if "light" not in inspect.signature(find_factory(name)).parameters:
+        return None
+    try:
+        return _made(name, seed, {"light": light})
+    except WorldError as error:
+        if isinstance(error.__cause__, ValueError):
+            return None
+        raise
+
+
+def find_factory(name: str) -> Callable[..., Any]:
+    """The function that MODULE:FACTORY names; WorldError where there is none."""
     module_name, _, factory_name = name.partition(":")
     if not module_name or not factory_name:
         raise WorldError(f"world {name!r}: expected MODULE:FACTORY, such as tools.sim.ceilings:tiles")
@@ -44,8 +62,13 @@ def load_world(name: str, seed: int) -> World:
     factory = getattr(module, factory_name, None)
     if not callable(factory):
         raise WorldError(f"world {name!r}: module {module_name} has no function {factory_name}")
+    return cast("Callable[..., Any]", factory)
+
+
+def _made(name: str, seed: int, options: dict[str, Any]) -> World:
+    factory, factory_name = find_factory(name), name.partition(":")[2]
     try:
-        world: World = factory(seed)
+        world: World = factory(seed, **options)
     except Exception as error:
         raise WorldError(f"world {name!r}: {factory_name}({seed}) failed: {error!r}") from error
     problems = list(_lacks(world))
