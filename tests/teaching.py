@@ -27,16 +27,26 @@ class Drive:
     samples: list[TeachingSample]
 
 
-def waypoint_drive(world: World, seconds: float, half: float, seed: int, scale: float = 1.0) -> Drive:
-    """Within `half` metres of the room's centre; odometry measures `scale` times the distance, with 1 % noise."""
+def waypoint_drive(
+    world: World,
+    seconds: float,
+    half: float,
+    seed: int,
+    scale: float = 1.0,
+    veer: float = 0.0,
+    centre: tuple[float, float] = (0.0, 0.0),
+    odom: Pose2D = Pose2D(),  # noqa: B008 - frozen
+) -> Drive:
+    """Within `half` metres of `centre`; odometry starts at `odom`, measures `scale` times the distance and `veer` rad a
+    metre too much of turn, with 1 % noise."""
     rng = np.random.default_rng(seed)
-    truth = waypoints(seconds, half, rng)
-    odom, samples = Pose2D(), []
+    truth = [Pose2D(pose.x + centre[0], pose.y + centre[1], pose.yaw) for pose in waypoints(seconds, half, rng)]
+    samples = []
     for number, pose in enumerate(truth):
         if number:
             step = truth[number - 1].inverse() @ pose
             noisy = scale * (1.0 + 0.01 * rng.standard_normal())
-            yaw = step.yaw * (1.0 + 0.01 * rng.standard_normal()) + 0.002 * rng.standard_normal()
+            yaw = step.yaw * (1.0 + 0.01 * rng.standard_normal()) + 0.002 * rng.standard_normal() + veer * step.x
             odom = odom @ Pose2D(step.x * noisy, step.y * noisy, yaw)
         samples.append(TeachingSample(number * DT, odom, frame(world, pose, number * DT)))
     return Drive(truth, samples)

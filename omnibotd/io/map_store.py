@@ -68,8 +68,8 @@ class MapStore:
     def save(self, topo_map: TopoMap) -> int:
         """Write the map and return its bytes; where that fails, the map before stays (MapStoreError)."""
         path = self._path(topo_map.name)
-        data = map_format.encode(topo_map)
         with _telling(f"map {path}"), _alone(self.directory) as sync:
+            data = map_format.encode(topo_map)
             map_format.decode(topo_map.name, io.BytesIO(data), len(data))  # what can't be loaded must not replace
             new = _written(path, data)
             self._keep_previous(path)
@@ -101,14 +101,39 @@ class MapStore:
             return MapReport(False, tuple(sections), f"map {path}: {str(error).removeprefix(f'map {path}: ')}")
         return MapReport(True, tuple(sections), f"map {name}: {nodes} nodes, all sections are intact")
 
-    def delete(self, name: str) -> None:
-        """Take the map out of use; it stays as NAME.omap~ until a map of that name is saved twice."""
+    def delete(self, name: str) -> Path:
+        """Take the map out of use and return where it stays, NAME.omap~, until a map of that name is saved twice."""
         path = self._existing(name)
         with _telling(f"map {path}"), _alone(self.directory) as sync:
             os.replace(path, _previous(path))
             sync()
         if self.active() == name:
             self.set_active(None)
+        return _previous(path)
+
+    def file(self, name: str) -> Path:
+        """The file of a map that exists."""
+        return self._existing(name)
+
+    def adopt(self, name: str, new: Path) -> int:
+        """Give a file of this directory the name of a map that must not exist yet; returns its nodes.
+
+        It is read whole first: what can't be loaded gets no name.
+        """
+        path = self._path(name)
+        with _telling(f"map {name!r}"), _alone(self.directory) as sync:
+            if path.exists():
+                raise MapStoreError(f"map {name!r} exists already: delete it first, or choose another name")
+            with new.open("rb") as stream:
+                count = len(map_format.decode(name, stream, _size(stream)))
+                os.fsync(stream.fileno())
+            os.replace(new, path)
+            sync()
+        return count
+
+    def recordings(self, name: str) -> Sequence[Path]:
+        """All recordings of a map, oldest first."""
+        return self._recorded().get(_checked(name), [])
 
     def active(self) -> str | None:
         """The map to use at the next start; None where none was chosen."""
@@ -149,6 +174,8 @@ class MapStore:
             return path
         if _previous(path).exists():
             raise MapStoreError(f"no map {name!r}, but its version before: rename {_previous(path)} to {path.name}")
+        if name in self._recorded():
+            raise MapStoreError(f"map {name!r} is recorded, but not trained: train it first")
         names = ", ".join(entry.name for entry in self.list() if entry.nodes != 0)
         raise MapStoreError(f"no map {name!r} in {self.directory}; maps: {names or 'none'}")
 

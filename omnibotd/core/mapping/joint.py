@@ -35,38 +35,39 @@ class Measured:
 
 
 def relax_together(poses: Floats, linker: PathLinker, measured: list[Measured]) -> Floats:
-    """(N, 3) poses; the first stays."""
+    """(N, 3) poses; those that the linker holds stay."""
+    poses = poses.copy()
     for step in range(_STEPS):
-        correction = _correction(poses, linker, measured, turned=step > 0)
-        poses = poses + correction
+        poses[linker.held :] += _correction(poses, linker, measured, turned=step > 0)
     return poses
 
 
 def _correction(poses: Floats, linker: PathLinker, measured: list[Measured], turned: bool) -> Floats:
-    nodes = len(poses)
-    odometry, odometry_values, odometry_sigma = _odometry(poses, linker.steps)
+    """(N - held, 3)."""
+    nodes, held = len(poses), linker.held
+    odometry, odometry_values, odometry_sigma = _odometry(poses, linker)
     turns, revisits = linker.turns(nodes), linker.links.revisits()
     mean = _relative_to_neighbours(measured, nodes)
-    turn_rows, revisit_rows = turns.rows(nodes), revisits.rows(nodes)
-    blank = csr_matrix
+    free_mean, revisit_rows = mean[:, held:], revisits.rows(nodes, held)
+    blank, free = csr_matrix, nodes - held
     rows = vstack(
         [
             odometry,
-            hstack([block_diag([revisit_rows] * 2), blank((2 * len(revisits), nodes))]),
-            hstack([block_diag([mean] * 2), blank((2 * len(measured), nodes))]),
-            hstack([blank((len(turns), 2 * nodes)), turn_rows]),
-            hstack([blank((len(measured), 2 * nodes)), mean]),
+            hstack([block_diag([revisit_rows] * 2), blank((2 * len(revisits), free))]),
+            hstack([block_diag([free_mean] * 2), blank((2 * len(measured), free))]),
+            hstack([blank((len(turns), 2 * free)), turns.rows(nodes, held)]),
+            hstack([blank((len(measured), 2 * free)), free_mean]),
         ]
     ).tocsr()
     offsets = np.array([m.offset for m in measured]).reshape(-1, 2)
-    swing = turns.value - turn_rows @ poses[:, 2]
+    swing = turns.misfit(poses[:, 2])
     # The measured turns were taken from the headings of before: the first step has used them up.
     turn = np.zeros(len(measured)) if turned else np.array([m.turn for m in measured])
     values = np.concatenate(
         [
             odometry_values,
-            *(-(revisit_rows @ poses[:, axis]) for axis in (0, 1)),
-            *(offsets[:, axis] - mean @ poses[:, axis] for axis in (0, 1)),
+            revisits.misfit(poses[:, :2]).T.ravel(),
+            (offsets - mean @ poses[:, :2]).T.ravel(),
             np.arctan2(np.sin(swing), np.cos(swing)),
             turn,
         ]
@@ -80,19 +81,21 @@ def _correction(poses: Floats, linker: PathLinker, measured: list[Measured], tur
             np.full(len(measured), _YAW_SIGMA),
         ]
     )
-    held = (0, nodes, 2 * nodes)
-    result = relaxed(rows, values[:, None], sigma, len(odometry_values), rounds=_ROUNDS, held=held)[:, 0]
-    return result.reshape(3, nodes).T
+    result = relaxed(rows, values[:, None], sigma, len(odometry_values), rounds=_ROUNDS)[:, 0]
+    return result.reshape(3, free).T
 
 
-def _odometry(poses: Floats, steps: Floats) -> tuple[csr_matrix, Floats, Floats]:
-    """Rows (2 (N - 1), 3 N), values and sigmas: each step along and across the heading it started with."""
-    nodes = len(poses)
-    node = np.arange(nodes - 1)
-    unit = Differences(node, node + 1, np.zeros(nodes - 1), np.ones(nodes - 1)).rows(nodes)
-    start = csr_matrix((np.ones(nodes - 1), (node, node)), shape=(nodes - 1, nodes))
-    c, s = np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])
-    dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
+def _odometry(poses: Floats, linker: PathLinker) -> tuple[csr_matrix, Floats, Floats]:
+    """Rows (2 S, 3 (N - held)), values and sigmas of the S steps: along and across the heading each started with."""
+    nodes, held = len(poses), linker.held
+    node = np.arange(linker.known, nodes - 1)
+    steps, row = linker.steps[node + 1], np.arange(len(node))
+    unit = Differences(node, node + 1, np.zeros(len(node)), np.ones(len(node))).rows(nodes, held)
+    turning = node >= held
+    shape = (len(node), nodes - held)
+    start = csr_matrix((np.ones(int(turning.sum())), (row[turning], node[turning] - held)), shape=shape)
+    c, s = np.cos(poses[node, 2]), np.sin(poses[node, 2])
+    dx, dy = (poses[node + 1, :2] - poses[node, :2]).T
     along, across = c * dx + s * dy, -s * dx + c * dy
     rows = vstack(
         [
@@ -100,9 +103,9 @@ def _odometry(poses: Floats, steps: Floats) -> tuple[csr_matrix, Floats, Floats]
             hstack([diags(-s) @ unit, diags(c) @ unit, diags(-along) @ start]),
         ]
     )
-    length = np.hypot(steps[1:, 0], steps[1:, 1])
+    length = np.hypot(steps[:, 0], steps[:, 1])
     sigma = [_ALONG + _ALONG_PER_METRE * length, _ACROSS + _ACROSS_PER_METRE * length]
-    return rows.tocsr(), np.concatenate([steps[1:, 0] - along, steps[1:, 1] - across]), np.concatenate(sigma)
+    return rows.tocsr(), np.concatenate([steps[:, 0] - along, steps[:, 1] - across]), np.concatenate(sigma)
 
 
 def _relative_to_neighbours(measured: list[Measured], nodes: int) -> csr_matrix:

@@ -26,11 +26,12 @@ _ROUNDS = 2
 
 
 def refined_poses(views: View, linker: PathLinker) -> Floats:
-    """(N, 3) poses; hardly other than the linker's own where few places were visited twice."""
+    """(N, 3) poses; hardly other than the linker's own where few places were visited twice. Known nodes stay."""
     poses = linker.poses.copy()
+    drive = range(linker.known, len(poses))
     for _ in range(_ROUNDS):
         aligned = turned(views, poses[:, 2])
-        measured = [m for m in (_measure(node, views, aligned, poses, linker) for node in range(len(poses))) if m]
+        measured = [m for m in (_measure(node, views, aligned, poses, linker) for node in drive) if m]
         poses = relax_together(poses, linker, measured)
     return poses
 

@@ -12,12 +12,19 @@ from omnibotd.core.errors import MapError
 
 Floats = NDArray[np.float32]
 
-SIDE = 10
+# Smallest side of the torus, that of the thesis; larger maps get a unit for so many nodes, so that a bucket, and with
+# it the cost of looking a view up, stays the same.
+_LEAST_SIDE, _NODES_A_UNIT = 10, 40
 # Batch training settles in few epochs; more changes nothing measurable (the thesis' online schedule needs 500).
 _EPOCHS = 30
 # The neighbourhood shrinks geometrically from a third of the torus to hardly beyond the unit itself; stopping at 0.4
 # keeps neighbours alike, which probing several units relies on.
 _FINAL_RADIUS = 0.4
+
+
+def side_for(nodes: int) -> int:
+    """Side of the square torus that indexes so many nodes."""
+    return max(_LEAST_SIDE, math.ceil(math.sqrt(nodes / _NODES_A_UNIT)))
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class Som:
         return math.isqrt(len(self.codebook))
 
     @classmethod
-    def train(cls, samples: ArrayLike, side: int = SIDE, seed: int = 0) -> Som:
+    def train(cls, samples: ArrayLike, side: int = _LEAST_SIDE, seed: int = 0) -> Som:
         """Batch training on (n, features), deterministic by seed. MapError on empty or non-finite data."""
         data = _checked(samples)
         rng = np.random.default_rng(seed)

@@ -52,7 +52,8 @@ class TopoMap:
     `snapshots` (N, rings * sectors / 2) uint8, two 4-bit cells a byte; `poses` (N, 3) float32 map_from_base;
     `sessions` (N,) number of the teaching drive. `ceiling_height` is metres from camera to ceiling as measured while
     teaching (NaN where unknown). `camera` tells the calibration the map was taught with;
-    `recordings` are the files it was taught from, one a session.
+    `recordings` are the files it was taught from, one a session; `method` is the preset that made it and can use it:
+    another method's `codebook` and `snapshots` mean something else.
     """
 
     name: str
@@ -66,6 +67,7 @@ class TopoMap:
     camera: Mapping[str, float] = field(default_factory=dict)
     statistics: Mapping[str, float] = field(default_factory=dict)
     recordings: tuple[str, ...] = ()
+    method: str = "default"
     places: Mapping[str, Pose2D] = field(default_factory=dict)
     docks: Mapping[str, Dock] = field(default_factory=dict)
 

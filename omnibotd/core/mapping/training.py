@@ -13,11 +13,12 @@ import numpy as np
 from omnibotd.core.docking.ceiling_height import visual_height
 from omnibotd.core.errors import TrainingError
 from omnibotd.core.mapping import snapshots
+from omnibotd.core.mapping.calibration import calibration_of
 from omnibotd.core.mapping.drive import Drive, TeachingSample, read_drive
 from omnibotd.core.mapping.edges import make_edges
 from omnibotd.core.mapping.links import PathLinker
 from omnibotd.core.mapping.refinement import refined_poses
-from omnibotd.core.mapping.som import SIDE, Som
+from omnibotd.core.mapping.som import Som, side_for
 from omnibotd.core.mapping.statistics import describe
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.vision.camera_model import CameraModel
@@ -41,17 +42,15 @@ def train(
     TrainingError where there are too few samples, no motion, or nothing to see.
     """
     drive = read_drive(samples, camera, seed, lambda share: progress("reading", 0.6 * share))
-    _check_enough(drive)
     views = harmonics(drive.views)
-    _check_likeness(views)
+    check_drive(drive, views)
     progress("som", 0.6)
-    som = Som.train(drive.spectra, SIDE, seed)
+    som = Som.train(drive.spectra, side_for(len(drive.views)), seed)
     spectra = Descriptor.spectrum(drive.views)
     linker = PathLinker(drive.steps(), views, spectra)
     linker.run(lambda share: progress("links", 0.62 + 0.25 * share))
     progress("refining", 0.87)
     poses = refined_poses(drive.views, linker)
-    poses -= poses[0]  # held there but for rounding
     poses[:, 2] = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
     progress("statistics", 0.92)
     edges = make_edges(poses, linker.links)
@@ -71,22 +70,10 @@ def train(
     )
 
 
-def calibration_of(camera: CameraModel) -> dict[str, float]:
-    """The numbers by which a map recognises the camera it was taught with."""
-    k = camera.distortion
-    return {
-        "width": float(camera.width),
-        "height": float(camera.height),
-        "fx": camera.fx,
-        "fy": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        **{f"k{i + 1}": k[i] for i in range(4)},
-        "fov": camera.fov,
-        "mount_yaw": camera.mount_yaw,
-        "tilt_x": camera.tilt[0],
-        "tilt_y": camera.tilt[1],
-    }
+def check_drive(drive: Drive, views: Harmonics) -> None:
+    """TrainingError where there are too few samples, no motion, or nothing to see."""
+    _check_enough(drive)
+    _check_likeness(views)
 
 
 def _check_enough(drive: Drive) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from omnibotd.core.errors import TrainingError
 from omnibotd.core.geometry import Pose2D, wrap
+from omnibotd.core.mapping import snapshots
 from omnibotd.core.mapping.topo_map import EdgeKind, TopoMap
 from omnibotd.core.mapping.training import TeachingSample, train
 from omnibotd.core.vision.frame import Frame
@@ -32,11 +33,12 @@ def taught() -> Taught:
     return Taught(drive, topo_map, progress)
 
 
-def true_nodes(taught: Taught) -> list[Pose2D]:
+def true_nodes(taught: Taught, scale: float = 1.0) -> list[Pose2D]:
     """Which true pose each node was taken at: the one whose odometry it fits best, in order."""
     truth, start = [], 0
     for node in range(len(taught.topo_map)):
         view = taught.topo_map.pose(node)
+        view = Pose2D(view.x / scale, view.y / scale, view.yaw)
         candidates = range(start, min(start + 12, len(taught.drive.truth)))
         origin = taught.drive.truth[0]
         start = min(candidates, key=lambda k: _apart(origin.inverse() @ taught.drive.truth[k], view))
@@ -63,11 +65,25 @@ def test_the_map_starts_at_its_origin(taught: Taught) -> None:
     assert np.abs(taught.topo_map.poses[:, 2]).max() <= math.pi + 1e-6
 
 
+@pytest.mark.parametrize(("scale", "veer"), [(1.1, 0.0), (1.0, math.radians(5.0))])
+def test_odometry_that_is_long_or_veers_makes_the_same_map(scale: float, veer: float) -> None:
+    drive = waypoint_drive(ceilings.plain(3), seconds=40.0, half=1.0, seed=2, scale=scale, veer=veer)
+    topo_map = train("room", drive.samples, CAMERA, progress=lambda stage, share: None)
+    wheels = drive.samples[-1].odom_from_base
+    scaled = Pose2D(wheels.x / scale, wheels.y / scale, wheels.yaw)
+    straight = drive.truth[0].inverse() @ drive.truth[-1]
+    if veer:
+        assert abs(wrap(scaled.yaw - straight.yaw)) > math.radians(30.0)
+    for node, pose in enumerate(true_nodes(Taught(drive, topo_map, []), scale)):
+        assert topo_map.pose(node).distance(Pose2D(scale * pose.x, scale * pose.y)) < 0.2
+        assert abs(wrap(topo_map.pose(node).yaw - pose.yaw)) < math.radians(8.0)
+
+
 def test_shapes_and_types(taught: Taught) -> None:
     topo_map, nodes = taught.topo_map, len(taught.topo_map)
     assert 50 < nodes <= len(taught.drive.samples)
     assert (topo_map.codebook.shape, topo_map.codebook.dtype) == ((100, 192), np.float32)
-    assert (topo_map.snapshots.shape, topo_map.snapshots.dtype) == ((nodes, 512), np.uint8)
+    assert (topo_map.snapshots.shape, topo_map.snapshots.dtype) == ((nodes, snapshots.BYTES), np.uint8)
     assert (topo_map.units.shape, topo_map.units.dtype) == ((nodes,), np.uint16)
     assert topo_map.units.max() < 100
     assert topo_map.poses.dtype == np.float32
