@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D
@@ -13,6 +14,8 @@ from omnibotd.core.percept import HomingEstimate, PlaceEstimate
 class Observation:
     """Everything known at one control tick; `stamp` in monotonic seconds.
 
+    `range_ahead` is metres from the robot's front edge to what is ahead, infinite where nothing is within the
+    sensor's reach, None where the base has no such sensor.
     `place` and `homing` are the newest estimates and keep their own stamps: a state machine acts once on each.
     """
 
@@ -28,14 +31,19 @@ class Observation:
     wheel_drop: bool = False
     emergency_stop: bool = False
     charging: bool | None = None
+    range_ahead: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a job ended: `error` is None when it was done; the message is one sentence for a person."""
+    """How a job ended: `error` is None when it was done; the message is one sentence for a person.
+
+    `report` says by name what was seen, believed and expected at the end (SI units); finite numbers and words only.
+    """
 
     error: ErrorName | None
     message: str
+    report: Mapping[str, float | str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +59,11 @@ class HomingRequest:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What a state machine wants now; `outcome` ends its job, `homing` asks for the next registration."""
+    """What a state machine wants now; `outcome` ends its job, `homing` asks for the next registration.
+
+    `waypoint` and `loop` count from 1 on a tour of several goals. `contact_expected` says that what is ahead is meant
+    to be touched: the range sensor then stops nothing, bumpers still do.
+    """
 
     state: str
     twist: Twist2D = STOP
@@ -59,3 +71,6 @@ class Decision:
     homing: HomingRequest | None = None
     distance_remaining: float | None = None
     recoveries: int = 0
+    waypoint: int | None = None
+    loop: int | None = None
+    contact_expected: bool = False

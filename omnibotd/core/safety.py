@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from omnibotd.core.decision import Observation
+from omnibotd.core.decision import Observation, Outcome
+from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Twist2D
 
 # Braking may be this much harder than speeding up: a late stop is worse than a jerk.
 BRAKING = 2.5
+# Kept free of whatever the range sensor sees (m), and what passes between a look and the wheels' answer to it (s): a
+# tick, two telemetry periods and the motors' lag.
+RANGE_MARGIN, REACTION = 0.05, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +37,27 @@ def hazard(seen: Observation) -> str | None:
     return None
 
 
+def danger(seen: Observation) -> Outcome | None:
+    """What ends every job that drives by the camera, in any of its states; worst first."""
+    if seen.emergency_stop:
+        return Outcome(ErrorName.EMERGENCY_STOP, "the emergency stop is pressed; release it and start again")
+    if not seen.base_ok:
+        return Outcome(ErrorName.BASE_LINK_DOWN, "the base stopped answering; check its cable and power")
+    if not seen.camera_ok:
+        return Outcome(ErrorName.CAMERA_DOWN, "no picture from the camera for a second; check its cable")
+    if seen.wheel_drop:
+        return Outcome(ErrorName.BLOCKED, "a wheel hangs in the air; put the robot on the floor and start again")
+    return None
+
+
+def stopping_speed(way: float, deceleration: float) -> float:
+    """The speed (m/s) from which a base that brakes REACTION seconds from now stands still within `way` metres."""
+    late = deceleration * REACTION
+    return math.sqrt(late * late + 2.0 * deceleration * max(way, 0.0)) - late
+
+
 class SafetyGate:
-    """Clamps speeds and accelerations, and vetoes motion into what bumpers and cliff sensors report."""
+    """Clamps speeds and accelerations, and vetoes motion into what bumpers, cliff and range sensors report."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -50,6 +73,9 @@ class SafetyGate:
         wz = self._ramp(self._last.wz, wz, self._limits.max_angular_acceleration * dt)
         if seen.bumper_left or seen.bumper_right or seen.cliff:
             vx = min(vx, 0.0)
+        if seen.range_ahead is not None:
+            # No ramp here: this bound falls no faster than the base can brake, unless somebody steps in the way.
+            vx = min(vx, stopping_speed(seen.range_ahead - RANGE_MARGIN, self._limits.max_linear_acceleration))
         self._last = Twist2D(vx, wz)
         return self._last
 

@@ -1,16 +1,20 @@
-"""Staging and docking as one job: whose failure is whose."""
+"""Jobs made of jobs: staging and docking, rounds, and a search by itself."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import cast
 
+import numpy as np
 import pytest
 
 from omnibotd.core.decision import Decision, Observation, Outcome
 from omnibotd.core.docking.docker import Docker
 from omnibotd.core.error_name import ErrorName
-from omnibotd.core.geometry import Pose2D
-from omnibotd.core.jobs import DockingTrip
-from omnibotd.core.navigation.navigator import Navigator
+from omnibotd.core.geometry import STOP, Pose2D, Twist2D
+from omnibotd.core.jobs import DockingTrip, Relocalisation, Rounds
+from omnibotd.core.mapping.topo_map import Edges, TopoMap
+from omnibotd.core.navigation.goal_filter import GoalFilter
+from omnibotd.core.percept import PlaceEstimate
+from omnibotd.core.safety import Limits
 
 SEEN = Observation(0.0, Pose2D())
 DONE = Outcome(None, "done")
@@ -25,16 +29,17 @@ class Scripted:
     """Ends with this outcome at its second step."""
 
     outcome: Outcome
+    decision: Decision = field(default_factory=lambda: Decision("SCRIPTED"))
     steps: list[Observation] = field(default_factory=list)
 
     def step(self, seen: Observation) -> Decision:
         self.steps.append(seen)
-        return Decision("SCRIPTED", outcome=self.outcome if len(self.steps) == 2 else None)
+        return replace(self.decision, outcome=self.outcome if len(self.steps) == 2 else None)
 
 
 def end_of(staging: Outcome, docking: Outcome) -> tuple[Outcome, Scripted]:
     navigator, docker = Scripted(staging), Scripted(docking)
-    trip = DockingTrip(cast(Navigator, navigator), cast(Docker, docker))
+    trip = DockingTrip(navigator, cast(Docker, docker))
     for _ in range(5):
         decision = trip.step(SEEN)
         if decision.outcome is not None:
@@ -69,3 +74,102 @@ def test_other_failures_of_staging_end_the_trip(error: ErrorName, told: ErrorNam
     outcome, docker = end_of(failed(error), DONE)
     assert outcome.error is told
     assert docker.steps == []
+
+
+def test_instead_of_driving_about_in_search_it_looks_for_the_dock() -> None:
+    navigator = Scripted(failed(ErrorName.LOST), Decision("SEARCHING", Twist2D(0.1, 0.0)))
+    trip = DockingTrip(navigator, cast(Docker, Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK))))
+    decisions = [trip.step(SEEN) for _ in range(3)]
+    assert decisions[0].twist == STOP
+    assert len(navigator.steps) == 1
+    assert decisions[-1].outcome is not None
+    assert decisions[-1].outcome.error is ErrorName.FAILED_TO_STAGE
+
+
+@pytest.mark.parametrize(("left", "expected"), [(None, False), (0.5, False), (0.2, True), (0.0, True)])
+def test_only_near_the_dock_contact_is_expected(left: float | None, expected: bool) -> None:
+    docker = Scripted(DONE, Decision("CONTROLLING", distance_remaining=left))
+    trip = DockingTrip(Scripted(DONE, Decision("FOLLOWING", distance_remaining=0.1)), cast(Docker, docker))
+    assert [trip.step(SEEN).contact_expected for _ in range(3)] == [False, False, expected]
+
+
+class Course:
+    """Makes scripted navigators; the trip numbered `fails` (from 1) fails."""
+
+    def __init__(self, fails: int = 0) -> None:
+        self.goals: list[Pose2D] = []
+        self._fails = fails
+
+    def make(self, goal: Pose2D) -> Scripted:
+        self.goals.append(goal)
+        fails = len(self.goals) == self._fails
+        outcome = Outcome(ErrorName.BLOCKED, "a box", {"bumps": 9.0}) if fails else DONE
+        return Scripted(outcome, Decision("FOLLOWING", recoveries=1))
+
+
+GOALS = [Pose2D(1.0), Pose2D(2.0), Pose2D(3.0)]
+
+
+def test_rounds_visit_the_goals_in_order_and_say_where_they_are() -> None:
+    course = Course()
+    rounds = Rounds(GOALS, 2, course.make)
+    decisions = []
+    while not decisions or decisions[-1].outcome is None:
+        decisions.append(rounds.step(SEEN))
+    assert course.goals == GOALS * 2
+    assert [(d.loop, d.waypoint) for d in decisions[::2]] == [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (2, 3)]
+    assert decisions[-1].outcome.error is None
+    assert decisions[-1].recoveries == 6
+
+
+def test_a_waypoint_not_reached_ends_the_rounds_and_is_named() -> None:
+    course = Course(fails=5)
+    rounds = Rounds(GOALS, 2, course.make)
+    decision = rounds.step(SEEN)
+    while decision.outcome is None:
+        decision = rounds.step(SEEN)
+    assert decision.outcome.error is ErrorName.BLOCKED
+    assert decision.outcome.message == "waypoint 2 of 3, loop 2 of 2: a box"
+    assert decision.outcome.report == {"bumps": 9.0, "waypoint": 2.0, "loop": 2.0}
+    assert len(course.goals) == 5
+
+
+def two_nodes() -> TopoMap:
+    edges = Edges(np.array([0], np.int32), np.array([1], np.int32), np.zeros(1, np.uint8))
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], np.float32)
+    codebook, units = np.zeros((1, 192), np.float32), np.zeros(2, np.uint16)
+    return TopoMap("pair", codebook, units, np.zeros((2, 512), np.uint8), poses, units, edges)
+
+
+def relocalise(confidence: float, start: Pose2D) -> tuple[list[Decision], Pose2D]:
+    """On an ideal base whose odometry is its map's frame; returns what was decided, and where it ended."""
+    goal_filter, pose, stamp = GoalFilter(), start, 5.0
+    job = Relocalisation(two_nodes(), goal_filter, Limits(0.3, 1.0, 0.5, 2.0), 0.17, 0.1)
+    decisions: list[Decision] = []
+    while not decisions or decisions[-1].outcome is None:
+        place = PlaceEstimate(stamp, pose, pose, confidence, 0.02, 0.8, 0.2, 1)
+        goal_filter.predict(pose)
+        goal_filter.update(place, 0.6)
+        decisions.append(job.step(Observation(stamp, pose, place)))
+        twist = decisions[-1].twist
+        pose, stamp = pose @ Pose2D(twist.vx * 0.1, 0.0, twist.wz * 0.1), stamp + 0.1
+        assert stamp < 400.0
+    return decisions, pose
+
+
+def test_relocalising_turns_a_little_even_where_it_is_sure() -> None:
+    decisions, pose = relocalise(0.95, Pose2D(0.5, 0.2, 1.0))
+    outcome = decisions[-1].outcome
+    assert outcome.error is None
+    assert pose.distance(Pose2D(0.5, 0.2)) < 0.01
+    assert 0.3 < pose.yaw - 1.0 < 1.0
+    assert outcome.report["x"] == pytest.approx(0.5, abs=0.02)
+
+
+def test_relocalising_where_nothing_fits_ends_lost_and_says_what_was_seen() -> None:
+    decisions, _ = relocalise(0.2, Pose2D(0.5, 0.2, 1.0))
+    outcome = decisions[-1].outcome
+    assert outcome.error is ErrorName.LOST
+    assert outcome.report["confidence"] == 0.2
+    assert outcome.report["metres_searched"] > 2.0
+    assert {decision.state for decision in decisions} == {"LOCALISING", "SEARCHING"}

@@ -16,7 +16,7 @@ from omnibotd.core.percept import HomingEstimate, Verdict
 _CONFIRMATION, _CONFIRMATION_YAW = 0.03, math.radians(3.0)
 # Odometry alone is good for this long (s) of driving; standing, five rejected looks in a row take about as long.
 _BLIND_TIME = 1.5
-# A bumper held this long is no touch in passing (s).
+# A bumper held this long is no touch in passing (s), a cliff sensor no mark on the floor.
 _BUMPED_TIME = 1.0
 # From 1 m at any heading a run takes about 20 s; three times that is stuck.
 _TIME = 60.0
@@ -60,7 +60,7 @@ class Controlling:
 
     def _over(self, observation: Observation) -> Event | None:
         now = observation.stamp
-        bumped = observation.bumper_left or observation.bumper_right
+        bumped = observation.bumper_left or observation.bumper_right or observation.cliff
         self._bumped = (self._bumped if self._bumped is not None else now) if bumped else None
         held = self._bumped is not None and now - self._bumped > _BUMPED_TIME
         if held or now - self._started > _TIME or self._trim.rounds > _MAX_ROUNDS:

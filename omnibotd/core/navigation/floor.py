@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,22 +19,28 @@ CORRIDOR = 0.3
 class DrivenFloor:
     """Raster of known-free floor made from node positions (N, 2) in metres."""
 
-    def __init__(self, positions: NDArray[np.float32], corridor: float = CORRIDOR) -> None:
+    def __init__(self, positions: NDArray[np.floating], corridor: float = CORRIDOR) -> None:
         border = 3.0 * corridor + CELL  # room for places beside the floor that was driven
-        self._origin = positions.min(axis=0) - border
+        self._origin = np.asarray(positions.min(axis=0), np.float64) - border
         shape = np.ceil((positions.max(axis=0) - self._origin + border) / CELL).astype(int)
-        self._free = np.zeros((int(shape[0]), int(shape[1])), bool)
-        cells = np.unique(self._cells(positions), axis=0)
-        for offset in self._disc(corridor):
-            inside = cells + offset
-            self._free[inside[:, 0], inside[:, 1]] = True
+        driven = np.zeros((int(shape[0]), int(shape[1])), np.uint8)
+        cells = self._cells(positions)
+        driven[cells[:, 0], cells[:, 1]] = 1
+        self._free = cv2.dilate(driven, _disc(corridor).astype(np.uint8)).astype(bool)
+
+    def copy(self) -> DrivenFloor:
+        """Another floor alike, to be blocked and opened by itself."""
+        other = copy(self)
+        other._free = self._free.copy()
+        return other
 
     def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the points (..., 2) lie on free floor."""
         cells = self._cells(points)
-        inside = np.all((cells >= 0) & (cells < self._free.shape), axis=-1)
-        clipped = np.clip(cells, 0, np.array(self._free.shape) - 1)
-        return np.asarray(inside & self._free[clipped[..., 0], clipped[..., 1]])
+        i, j = cells[..., 0], cells[..., 1]
+        rows, columns = self._free.shape
+        inside = (i >= 0) & (i < rows) & (j >= 0) & (j < columns)
+        return np.asarray(inside & self._free[np.where(inside, i, 0), np.where(inside, j, 0)])
 
     def straight(self, start: Pose2D, end: Pose2D) -> bool:
         """Whether the straight line between two poses stays on free floor."""
@@ -50,16 +58,17 @@ class DrivenFloor:
         self._paint(x, y, radius, True)
 
     def _paint(self, x: float, y: float, radius: float, free: bool) -> None:
-        cells = self._cells(np.array([x, y])) + self._disc(radius)
+        disc = _disc(radius)
+        cells = self._cells(np.array([x, y])) + np.argwhere(disc) - disc.shape[0] // 2
         keep = np.all((cells >= 0) & (cells < self._free.shape), axis=-1)
         self._free[cells[keep, 0], cells[keep, 1]] = free
 
     def _cells(self, points: NDArray[np.floating]) -> NDArray[np.int64]:
-        cells = np.floor((np.asarray(points, np.float64) - self._origin) / CELL)
-        return np.asarray(cells, np.int64)
+        return np.asarray(np.floor((points - self._origin) / CELL), np.int64)
 
-    @staticmethod
-    def _disc(radius: float) -> NDArray[np.int64]:
-        reach = math.ceil(radius / CELL)
-        grid = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
-        return np.asarray(grid[np.hypot(grid[:, 0], grid[:, 1]) * CELL <= radius], np.int64)
+
+def _disc(radius: float) -> NDArray[np.bool_]:
+    """Square raster, odd in size, with a disc in its middle."""
+    reach = math.ceil(radius / CELL)
+    rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return np.asarray(np.hypot(rows, columns) * CELL <= radius)

@@ -15,10 +15,11 @@ _MOST = 30
 _NEAR, _NEAR_TURN = 0.4, 0.35
 # Correlation difference that makes a pose e times less likely in one independent frame.
 _TEMPERATURE = 0.05
+# The same for the fit of the view predicted at a pose: sharper, for the distance to the nodes is accounted for. Under
+# identical lamps every 1.8 m the true pose led by 0.05 in half the frames, by 0.035 in nine of ten.
+_FIT_TEMPERATURE = 0.02
 # What a hypothesis nobody speaks for, and one frame, may lose at most: one bad frame shall not decide.
 _UNSUPPORTED, _WORST = 0.25, 4.0
-# How far a node that correlates so well may be (m).
-_NODE_SIGMA, _NODE_SIGMA_LOSS = 0.04, 0.45
 # Prior of having been carried to any new candidate, against having driven here.
 _KIDNAPPED = -4.0
 
@@ -47,33 +48,47 @@ class Hypotheses:
         """(H,) best score of the candidates (C, 3), (C,) near each hypothesis; -1 where there is none."""
         return np.asarray(np.where(self._near(poses), scores, -1.0).max(1, initial=-1.0))
 
-    def weigh(self, poses: Floats, scores: Floats, excused: Floats, evidence: float) -> None:
+    def weigh(self, poses: Floats, scores: Floats, allowance: Floats, evidence: float) -> None:
         """Reweigh by candidates; `evidence` in (0, 1] says how independent this frame is of the last one.
 
-        `excused` (H,) is the least support a hypothesis is given: where no node is near, none can speak for it.
+        `allowance` (H,) is correlation forgiven to each: where no node is near, none can speak for it.
         """
         if not len(self):
             return
         top = scores.max(initial=-1.0)
-        support = np.maximum(self.supported(poses, scores), np.maximum(excused, top - _UNSUPPORTED))
+        support = np.maximum(self.supported(poses, scores), top - _UNSUPPORTED) + allowance
         self.log_weights += evidence * np.clip((support - top) / _TEMPERATURE, -_WORST, 0.0)
         self._tidy()
 
-    def propose(self, poses: Floats, scores: Floats) -> None:
-        """Add candidates (C, 3) that no hypothesis stands near, best first."""
+    def judge(self, shortfalls: Floats, costs: Floats, evidence: float) -> int:
+        """Reweigh the likeliest by how much worse each fits than it should, and by log odds against it; returns which
+        of them is the likeliest now."""
+        worse = shortfalls - shortfalls.min()
+        self.log_weights[: len(worse)] -= evidence * np.minimum(worse / _FIT_TEMPERATURE, _WORST) + costs
+        likeliest = int(self.log_weights[: len(worse)].argmax())
+        self._tidy()
+        return likeliest
+
+    def propose(self, poses: Floats, scores: Floats, sigmas: Floats) -> None:
+        """Add candidates (C, 3), (C,) good to `sigmas` (C,) metres that no hypothesis stands near, best first."""
         prior = _KIDNAPPED if len(self) else 0.0
         top = float(scores.max(initial=-1.0))
-        for pose, score in zip(poses, scores, strict=True):
+        for pose, score, sigma in zip(poses, scores, sigmas, strict=True):
             if not self._near(pose[None]).any():
                 self.poses = np.vstack([self.poses, pose])
                 self.log_weights = np.append(self.log_weights, prior + (score - top) / _TEMPERATURE)
-                self.sigmas = np.append(self.sigmas, _NODE_SIGMA + _NODE_SIGMA_LOSS * (1.0 - score))
+                self.sigmas = np.append(self.sigmas, sigma)
         self._tidy()
 
     def place(self, index: int, pose: Pose2D, sigma: float) -> None:
         """Put one hypothesis where a measurement that took it as its prior says."""
         self.poses[index] = pose.x, pose.y, _wrapped(np.asarray(pose.yaw))
         self.sigmas[index] = sigma
+
+    def pose(self, number: int) -> Pose2D:
+        """Number 0 is the likeliest."""
+        x, y, yaw = (float(value) for value in self.poses[number])
+        return Pose2D(x, y, yaw)
 
     def share(self) -> float:
         """Posterior weight of the likeliest pose."""

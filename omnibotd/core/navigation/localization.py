@@ -8,19 +8,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omnibotd.core.geometry import Pose2D
-from omnibotd.core.mapping import regression
+from omnibotd.core.geometry import Pose2D, wrap
+from omnibotd.core.mapping import regression, snapshots
 from omnibotd.core.mapping.topo_map import TopoMap
+from omnibotd.core.navigation import likeness
 from omnibotd.core.navigation.hypotheses import Hypotheses
 from omnibotd.core.navigation.node_index import NodeIndex
-from omnibotd.core.navigation.trust import Sight, Trust, covered
+from omnibotd.core.navigation.trust import Sight, Trust, calibrated, covered, expected_score, ramp
 from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.camera_model import CameraModel
-from omnibotd.core.vision.descriptor import Descriptor, Harmonics, correlate, harmonics
+from omnibotd.core.vision.descriptor import Descriptor, Harmonics, correlate, harmonics, smoothed
 from omnibotd.core.vision.frame import Frame
 from omnibotd.core.vision.view import View
 
@@ -30,8 +32,18 @@ Floats = NDArray[np.float64]
 _RECOGNISED = 0.4
 # Candidates this much worse than the best start no hypothesis of their own.
 _WORTH_PROPOSING = 0.15
-# Support that a hypothesis without any node near is given: what chance look-alikes reach.
-_BY_CHANCE = 0.55
+# Correlation falls with the distance to a node by this share of what 95 of 100 stay below; allowed for up to so much.
+_USUAL_SHARE, _MOST_ALLOWED = 0.6, 0.4
+# Log odds against a correction of any size: the robot may have been pushed.
+_MOST_STRAIN = 4.0
+# Far from the nodes a pose can't be refuted, but it shall not be kept for ever beside one that fits.
+_UNKNOWN_WORSE = 0.005
+# Hypotheses registered in a frame (under a usual ceiling there is one), and log weight from which one is worth it.
+_RIVALS, _HOPELESS = 4, -7.0
+# Correlation with the predicted view from which, and up to which, a registration is taken for what it says of itself.
+_FIRM = (0.7, 0.9)
+# Nodes looked up by their spectra, 20 us each: while sure, and while trust is below _DOUBT.
+_TRACKING, _SEARCHING, _DOUBT = 20, 60, 0.5
 # Nodes round the likeliest poses are always compared, whatever the SOM says: tracking survives a change of light.
 _TRACKED, _LOCAL, _LOCAL_RADIUS = 3, 5, 0.4
 # Frames this near together (m) show nearly the same; correlating less, the robot was carried or its lens covered.
@@ -47,6 +59,12 @@ _INDEPENDENT, _TURN_WORTH, _AT_REST = 0.15, 0.1, 0.1
 _RIGHT = 0.25
 # Regression: fewest neighbours, how far it may pull (m, rad).
 _FEWEST, _GATE, _TURN_GATE = 3, 0.25, 0.2
+# A node so much alike is farther off than its likeness allows beyond its usual reach times this, and these metres.
+_ALIKE, _TOO_FAR, _NODE_SLACK = 0.6, 1.2, 0.05
+# Standard deviation (m) of a pose taken over from a node at no distance.
+_NODE_SIGMA = 0.02
+# Poses between nodes match other places by so much better than nodes do.
+_IMPOSTOR_SPREAD = 0.05
 # Spread reported (m) where nothing has been recognised yet.
 _UNKNOWN = 10.0
 # A robot that stands sees the same again and again: after so many frames nothing is left to learn, and to go on would
@@ -67,6 +85,27 @@ class _Candidates:
     @property
     def best(self) -> float:
         return float(self.scores.max(initial=-1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """How well the view predicted at a pose fits (-1: none can be), the variance that the nodes leave unexplained
+    there, and the strain of getting there: log odds against so large a correction of what odometry said."""
+
+    score: float
+    unexplained: float
+    strain: float = 0.0
+
+
+def _shortfalls(fits: list[_Fit]) -> Floats:
+    """How much worse each fits than it should; far from the nodes, where nothing is expected, a little worse than the
+    best of the others, and than a right pose in the light of the teaching drive."""
+    known = np.array([covered(fit.unexplained) for fit in fits])
+    short = np.array([expected_score(fit.unexplained) - fit.score for fit in fits])
+    best = float(short[known > 0.5].min(initial=np.inf))
+    if math.isinf(best):
+        return np.zeros(len(fits))
+    return np.asarray(known * short + (1.0 - known) * max(0.0, best + _UNKNOWN_WORSE))
 
 
 @dataclass
@@ -90,32 +129,38 @@ class Localizer:
     def __init__(self, topo_map: TopoMap, camera: CameraModel) -> None:
         self._descriptor = Descriptor(camera)
         self._index = NodeIndex(topo_map)
+        self._likeness = likeness.measure(self._index)
         self.reset()
 
     def reset(self) -> None:
         """Forget where the robot was: the next frame is looked up in the whole map."""
         self._hypotheses = Hypotheses()
-        self._trust = Trust()
+        self._trust = Trust(self._likeness.chance + _IMPOSTOR_SPREAD)
         self._odom: Pose2D | None = None
         self._last_view: Harmonics | None = None
         self._rest: _Rest | None = None
         self._latest: PlaceEstimate | None = None
+        self._tracked: Pose2D | None = None
 
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. FrameError where the frame can't be used."""
-        view = self._descriptor.view(frame)
+        view = smoothed(self._descriptor.view(frame), snapshots.ORDERS)  # all that nodes have of theirs
         moved = self._move(odom_from_base)
         query = harmonics(view)
         if self._latest is not None and self._settled(query, odom_from_base):
             return replace(self._latest, stamp=frame.stamp, odom_from_base=odom_from_base)
         continues = self._continues(query, moved)
         candidates = self._candidates(view, query)
+        evidence = _AT_REST + (1.0 - _AT_REST) * (1.0 - math.exp(-moved / _INDEPENDENT))
         if candidates.best >= _RECOGNISED:
-            self._weigh(candidates, moved, continues)
+            self._weigh(candidates, evidence, continues)
         if not len(self._hypotheses):
             return PlaceEstimate(frame.stamp, odom_from_base, Pose2D(), 0.0, _UNKNOWN, candidates.best, 0.0, -1)
-        fitted = self._sharpen(view)
-        sight = self._judge(candidates, fitted, moved, continues)
+        fit = self._fit(view, candidates, evidence)
+        if self._tracked is not None and self._tracked.distance(self._hypotheses.pose(0)) > _JUMP:
+            self._trust.start_again()
+        self._tracked = self._hypotheses.pose(0)
+        sight = self._judge(candidates, fit, moved, continues)
         self._latest = self._estimate(frame.stamp, odom_from_base, candidates, sight)
         return self._latest
 
@@ -146,59 +191,101 @@ class Localizer:
         """By looks, through the SOM; and round the likeliest poses."""
         likeliest = self._hypotheses.poses[:_TRACKED, :2]
         tracked = [self._index.near(float(x), float(y), _LOCAL_RADIUS, _LOCAL) for x, y in likeliest]
-        nodes = np.unique(np.concatenate([self._index.alike(Descriptor.spectrum(view)), *tracked]))
+        count = _SEARCHING if self._trust.value < _DOUBT else _TRACKING
+        nodes = np.unique(np.concatenate([self._index.alike(Descriptor.spectrum(view), count), *tracked]))
         headings, scores = self._index.compare(query, nodes)
         order = np.argsort(-scores, kind="stable")
         poses = np.column_stack([self._index.poses[nodes, :2], headings]).astype(np.float64)
         return _Candidates(poses[order], scores[order].astype(np.float64), nodes[order])
 
-    def _weigh(self, seen: _Candidates, moved: float, continues: bool) -> None:
-        """Judge the hypotheses by the candidates, add new ones, and notice when another becomes the likeliest."""
-        tracked = self._hypotheses.poses[:1].copy()
-        evidence = _AT_REST + (1.0 - _AT_REST) * (1.0 - math.exp(-moved / _INDEPENDENT))
+    def _weigh(self, seen: _Candidates, evidence: float, continues: bool) -> None:
+        """Judge the hypotheses by the candidates, and add new ones."""
         lost_sight = self._trust.broken or not continues
-        excused = np.zeros(len(self._hypotheses)) if lost_sight else self._excused()
-        self._hypotheses.weigh(seen.poses, seen.scores, excused, evidence)
+        allowance = np.zeros(len(self._hypotheses)) if lost_sight else self._allowance()
+        self._hypotheses.weigh(seen.poses, seen.scores, allowance, evidence)
         worthy = (seen.scores > seen.best - _WORTH_PROPOSING) & (seen.scores >= _RECOGNISED)
-        self._hypotheses.propose(seen.poses[worthy], seen.scores[worthy])
-        if len(tracked) and np.hypot(*(self._hypotheses.poses[0] - tracked[0])[:2]) > _JUMP:
-            self._trust.start_again()
+        scores = seen.scores[worthy]
+        self._hypotheses.propose(seen.poses[worthy], scores, self._node_sigma(scores))
 
-    def _excused(self) -> Floats:
-        """(H,) support each hypothesis is granted unseen, for want of nodes."""
-        distances = [self._index.distance(float(x), float(y)) for x, y in self._hypotheses.poses[:, :2]]
-        return np.array([_BY_CHANCE * (1.0 - covered(distance)) for distance in distances])
+    def _allowance(self) -> Floats:
+        """(H,) correlation that each hypothesis loses to the distance of its nearest node."""
+        places = [(float(x), float(y)) for x, y in self._hypotheses.poses[:, :2]]
+        distances = np.array([self._index.distance(x, y, _LOCAL_RADIUS) for x, y in places])
+        return np.minimum(distances / (_USUAL_SHARE * self._likeness.reach), _MOST_ALLOWED)
 
-    def _sharpen(self, view: View) -> float:
-        """Correct the likeliest hypothesis by regression; returns how well the view predicted there fits, or -1."""
-        x, y, yaw = (float(value) for value in self._hypotheses.poses[0])
-        near = self._index.near(x, y, regression.RADIUS, regression.NEIGHBOURS)
+    def _fit(self, view: View, seen: _Candidates, evidence: float) -> _Fit:
+        """Register the likeliest hypotheses, reweigh them by how each fits, and give the fit of the likeliest then."""
+        rivals = min(_RIVALS, int((self._hypotheses.log_weights > _HOPELESS).sum()))
+        fits = [self._sharpen(view, seen, evidence)]
+        fits += [self._regress(view, number, evidence) for number in range(1, rivals)]
+        costs = np.array([fit.strain for fit in fits])
+        best = fits[self._hypotheses.judge(_shortfalls(fits), costs, evidence)]
+        self._trust.shake(best.strain)
+        return best
+
+    def _node_sigma(self, score: Any) -> Any:
+        """Standard deviation (m) of the place of a view that correlates with a node at `score` (an array, or one)."""
+        return _NODE_SIGMA + 0.5 * self._likeness.reach * (1.0 - score)
+
+    def _sharpen(self, view: View, seen: _Candidates, evidence: float) -> _Fit:
+        """Correct the likeliest hypothesis by regression.
+
+        A pose taken over a few decimetres off can predict well enough to be kept for metres, so where a node looks more
+        alike than its distance allows, that node is the better start.
+        """
+        fit = self._regress(view, 0, evidence)
+        near = self._beside(seen)
+        if near is None or seen.scores[near] < max(fit.score - _WORTH_PROPOSING, _ALIKE):
+            return fit
+        x, y, yaw = (float(value) for value in seen.poses[near])
+        score = float(seen.scores[near])
+        if self._hypotheses.pose(0).distance(Pose2D(x, y)) < _NODE_SLACK + _TOO_FAR * self._likeness.distance(score):
+            return fit
+        self._hypotheses.place(0, Pose2D(x, y, yaw), self._node_sigma(score))
+        return replace(self._regress(view, 0, 1.0), strain=_MOST_STRAIN)
+
+    def _beside(self, seen: _Candidates) -> int | None:
+        """The best candidate that is about where the likeliest hypothesis is."""
+        x, y, yaw = self._hypotheses.poses[0]
+        turn = np.abs(np.remainder(seen.poses[:, 2] - yaw + np.pi, 2.0 * np.pi) - np.pi)
+        near = np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y) < _LOCAL_RADIUS
+        found = np.flatnonzero(near & (turn < _TURN_GATE))
+        return int(found[0]) if len(found) else None  # candidates come best first
+
+    def _regress(self, view: View, number: int, evidence: float) -> _Fit:
+        """Register one hypothesis with the nodes round about, and put it where it fits."""
+        prior, sigma = self._hypotheses.pose(number), float(self._hypotheses.sigmas[number])
+        near = self._index.near(prior.x, prior.y, regression.RADIUS, regression.NEIGHBOURS)
         if len(near) < _FEWEST:
-            return -1.0
-        prior, sigma = Pose2D(x, y, yaw), float(self._hypotheses.sigmas[0])
-        found = regression.refine(view, prior, sigma, self._index.poses[near, :2], self._index.aligned(near))
-        if found.pose.distance(prior) > _GATE or abs(math.remainder(found.pose.yaw - yaw, math.tau)) > _TURN_GATE:
-            return -1.0
-        self._hypotheses.place(0, found.pose, max(found.sigma, _SURE))
-        return found.score
+            return _Fit(-1.0, 1.0)
+        nodes = self._index
+        found = regression.refine(view, prior, sigma, nodes.poses[near, :2], nodes.aligned(near), evidence=evidence)
+        if found.pose.distance(prior) > _GATE or abs(wrap(found.pose.yaw - prior.yaw)) > _TURN_GATE:
+            return _Fit(-1.0, found.unexplained)
+        # A poor fit says little about where exactly.
+        loose = sigma * (1.0 - ramp(found.score, *_FIRM))
+        self._hypotheses.place(number, found.pose, max(found.sigma, _SURE, loose))
+        strain = 0.5 * (found.pose.distance(prior) / (sigma + _SURE)) ** 2
+        return _Fit(found.score, found.unexplained, min(strain, _MOST_STRAIN))
 
-    def _judge(self, seen: _Candidates, fitted: float, moved: float, continues: bool) -> Sight:
+    def _judge(self, seen: _Candidates, fit: _Fit, moved: float, continues: bool) -> Sight:
         """What the frame says about the likeliest pose."""
         x, y, _ = (float(value) for value in self._hypotheses.poses[0])
-        score = max(fitted, float(self._hypotheses.supported(seen.poses, seen.scores)[0]))
+        score = max(fit.score, float(self._hypotheses.supported(seen.poses, seen.scores)[0]))
         apart = np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y)
         elsewhere = float(seen.scores[apart > _ELSEWHERE].max(initial=-1.0))
-        return Sight(score, elsewhere, self._index.distance(x, y), moved, continues)
+        return Sight(score, elsewhere, fit.unexplained, moved, continues)
 
     def _estimate(self, stamp: float, odom: Pose2D, seen: _Candidates, sight: Sight) -> PlaceEstimate:
         x, y, yaw = (float(value) for value in self._hypotheses.poses[0])
         sigma = float(self._hypotheses.sigmas[0])
+        belief = self._trust.update(sight) * self._hypotheses.share() * _within(sigma)
         nearest = int(np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y).argmin())
         return PlaceEstimate(
             stamp,
             odom,
             Pose2D(x, y, yaw),
-            confidence=self._trust.update(sight) * self._hypotheses.share() * _within(sigma),
+            confidence=calibrated(belief, self._likeness.chance),
             sigma=sigma,
             score=sight.score,
             margin=sight.score - sight.elsewhere,

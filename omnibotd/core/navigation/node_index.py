@@ -8,17 +8,18 @@ from numpy.typing import NDArray
 from omnibotd.core.errors import MapError
 from omnibotd.core.mapping import snapshots
 from omnibotd.core.mapping.topo_map import TopoMap
+from omnibotd.core.navigation.node_grid import NodeGrid
 from omnibotd.core.vision.descriptor import FEATURES, Descriptor, Harmonics, correlate, harmonics, turned
 from omnibotd.core.vision.view import View
 
 Floats = NDArray[np.float32]
 Nodes = NDArray[np.intp]
 
-# Best matching units searched, and candidates kept for correlation: more finds hardly more, at 20 us a candidate.
-_PROBES, _CANDIDATES = 6, 20
+# Best matching units searched: more finds hardly more.
+_PROBES = 6
 # Nodes unpacked at a time: bounds the memory that loading needs to some 20 MB.
 _BLOCK = 500
-# Views are kept in map axes as int8: the 4-bit snapshot has steps of 0.35, so 1/25 loses nothing.
+# Views are kept in map axes as int8: the codec errs by more than 1/25.
 _SCALE = 25.0
 
 
@@ -41,6 +42,7 @@ class NodeIndex:
             spectra[block] = Descriptor.spectrum(views)
             aligned = turned(views, topo_map.poses[block, 2])
             self._aligned[block] = np.clip(np.rint(aligned * _SCALE), -127, 127)
+        self._grid = NodeGrid(topo_map.poses[:, :2])
         self._order = np.argsort(topo_map.units, kind="stable")
         self._spectra = spectra[self._order]
         self._index_units(topo_map)
@@ -53,33 +55,31 @@ class NodeIndex:
         self._codebook = topo_map.codebook[used]
         self._codebook_norm = (self._codebook**2).sum(1)
 
-    def alike(self, spectrum: Floats) -> Nodes:
-        """Up to 20 nodes whose spectra are nearest (F,), searched in the buckets of the nearest units."""
+    def alike(self, spectrum: Floats, count: int) -> Nodes:
+        """Up to `count` nodes whose spectra are nearest (F,), searched in the buckets of the nearest units."""
         response = self._codebook_norm - 2.0 * (self._codebook @ spectrum)
         probes = min(_PROBES, len(response))
         nearest = np.argpartition(response, probes - 1)[:probes]
         rows = np.concatenate([np.arange(self._starts[unit], self._ends[unit]) for unit in nearest])
-        if len(rows) > _CANDIDATES:
+        if len(rows) > count:
             difference = self._spectra[rows] - spectrum
             unlike = np.einsum("nf,nf->n", difference, difference)
-            rows = rows[np.argpartition(unlike, _CANDIDATES)[:_CANDIDATES]]
+            rows = rows[np.argpartition(unlike, count)[:count]]
         return np.asarray(self._order[rows])
 
     def near(self, x: float, y: float, radius: float, count: int) -> Nodes:
         """Up to `count` nodes nearest to (x, y) and within `radius` metres."""
-        inside = np.flatnonzero(np.abs(self.poses[:, 0] - np.float32(x)) < radius)
-        dx, dy = self.poses[inside, 0] - np.float32(x), self.poses[inside, 1] - np.float32(y)
-        squared = dx * dx + dy * dy
-        close = squared < radius * radius
-        inside, squared = inside[close], squared[close]
-        if len(inside) > count:
-            inside = inside[np.argpartition(squared, count)[:count]]
-        return np.asarray(inside)
+        nodes = self._grid.near(x, y, radius)
+        if len(nodes) > count:
+            nodes = nodes[np.argpartition(self._away(nodes, x, y), count)[:count]]
+        return nodes
 
-    def distance(self, x: float, y: float) -> float:
-        """Metres from (x, y) to the nearest node."""
-        dx, dy = self.poses[:, 0] - np.float32(x), self.poses[:, 1] - np.float32(y)
-        return float(np.sqrt((dx * dx + dy * dy).min()))
+    def distance(self, x: float, y: float, radius: float) -> float:
+        """Metres from (x, y) to the nearest node; `radius` where none is nearer."""
+        return float(self._away(self._grid.near(x, y, radius), x, y).min(initial=radius))
+
+    def _away(self, nodes: Nodes, x: float, y: float) -> Floats:
+        return np.asarray(np.hypot(self.poses[nodes, 0] - np.float32(x), self.poses[nodes, 1] - np.float32(y)))
 
     def compare(self, query: Harmonics, nodes: Nodes) -> tuple[Floats, Floats]:
         """Map heading (M,) at which the query fits each node best, and the correlation (M,) there."""

@@ -72,6 +72,13 @@ def correlate(query: Harmonics, stored: Harmonics) -> tuple[Floats, Floats]:
     return wrapped.astype(np.float32), (centre - 0.25 * (before - after) * shift).astype(np.float32)
 
 
+def smoothed(view: View, orders: int) -> View:
+    """View (RINGS, SECTORS) without the harmonics from order `orders` on."""
+    spectrum = np.fft.rfft(view, axis=-1)
+    spectrum[..., orders:] = 0.0
+    return np.asarray(np.fft.irfft(spectrum, n=SECTORS, axis=-1), np.float32)
+
+
 def turned(views: View, yaw: NDArray[np.floating]) -> View:
     """Views (..., RINGS, SECTORS) of a base with headings `yaw` (...), turned from its axes into the map's."""
     phase = np.exp(-1j * _ORDERS * np.asarray(yaw)[..., None])[..., None, :]

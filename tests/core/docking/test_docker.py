@@ -14,6 +14,7 @@ from omnibotd.core.docking.states import TRANSITIONS, Event, State
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D
 from omnibotd.core.percept import HomingEstimate, Verdict
+from omnibotd.core.safety import Limits, SafetyGate
 
 TICK = 0.1
 
@@ -259,6 +260,23 @@ def test_held_by_its_bumper_it_retries_unless_it_charges(charging: bool | None, 
     stage.charging = charging
     stage.bend_observation = lambda observation: replace(observation, bumper_left=True)
     stage.until(state, seconds=2.0)
+
+
+def test_held_at_an_edge_it_retries() -> None:
+    stage = stage_in(State.CONTROLLING)
+    stage.bend_observation = lambda observation: replace(observation, cliff=True)
+    stage.until(State.RETRY, seconds=2.0)
+
+
+@pytest.mark.parametrize("state", RUNNING)
+@pytest.mark.parametrize("sensor", ["bumper_left", "bumper_right", "cliff", "wheel_drop"])
+def test_whatever_it_touches_it_does_not_push_in_any_state(state: State, sensor: str) -> None:
+    stage, gate = stage_in(state), SafetyGate(Limits(0.2, 0.8, 0.5, 2.0))
+    stage.bend_observation = lambda observation: replace(observation, **{sensor: True})
+    for _ in range(30):
+        decision = stage.tick()
+        seen = replace(Observation(stage.stamp, stage.odom_from_base), **{sensor: True})
+        assert gate.limit(decision.twist, seen, TICK).vx <= 0.0
 
 
 def test_a_touch_in_passing_does_not_stop_it() -> None:
