@@ -7,9 +7,9 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
+from omnibotd import cli_output
 from omnibotd.cli_parser import parser
 from omnibotd.cli_verbs import DamagedMap, Terminal, UsageError, print_json
 from omnibotd.control_client import NoDaemon, RemoteError
@@ -43,18 +43,22 @@ def _run(words: Sequence[str]) -> int:
     except NoDaemon as error:
         return _failed(as_json, NO_DAEMON, "NO_DAEMON", str(error))
     except RemoteError as error:
-        result = error.result if isinstance(error, DamagedMap) else {}
-        return _failed(as_json, _exit_code(error.code), error.name, str(error), result)
+        return _failed(as_json, _exit_code(error.code), error.name, str(error), error)
     except KeyboardInterrupt:
         return CANCELLED
     return DONE
 
 
-def _failed(as_json: bool, code: int, name: str, message: str, result: Mapping[str, Any] | None = None) -> int:
+def _failed(as_json: bool, code: int, name: str, message: str, remote: RemoteError | None = None) -> int:
+    """Say what went wrong and, of a failed job, the facts behind it."""
+    report = remote.report if remote else {}
     if as_json:
-        print_json({**(result or {}), "ok": False, "error": {"code": code, "name": name, "message": message}})
-    else:
-        print(f"omnibotctl: {name}: {message}", file=sys.stderr)
+        error = {"code": code, "name": name, "message": message, **({"report": report} if report else {})}
+        print_json({**(remote.result if isinstance(remote, DamagedMap) else {}), "ok": False, "error": error})
+        return code
+    print(f"omnibotctl: {name}: {message}", file=sys.stderr)
+    if report:
+        print(cli_output.report(report), file=sys.stderr)
     return code
 
 

@@ -9,7 +9,8 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_SURE, _LOST = 0.9, 0.5  # confidence above which a pose may be relied on, below which it may not at all
+# Confidence from which a pose steers the robot and may be saved (as the daemon decides), below which it says nothing.
+_SURE, _LOST = 0.6, 0.3
 
 Values = Mapping[str, Any]
 
@@ -54,16 +55,24 @@ def feedback(values: Values) -> str:
     """One line of a job's feedback."""
     parts = [str(values[key]) for key in ("state", "stage") if values.get(key)]
     formats = {
+        "waypoint": lambda value: (
+            f"way-point {value}" + (f" of {values['waypoints']}" if "waypoints" in values else "")
+        ),
+        "loop": lambda value: f"loop {value} of {values['loops']}" if values.get("loops", 1) > 1 else "",
         "progress": lambda value: f"{value:.0%}",
         "distance_remaining": lambda value: f"{value:.2f} m to go",
         "confidence": lambda value: f"confidence {value:.2f}",
-        "number_of_recoveries": lambda value: f"{value} recoveries" if value else "",
-        "retries": lambda value: f"{value} retries" if value else "",
+        "number_of_recoveries": lambda value: _plural(value, "recovery", "recoveries") if value else "",
+        "retries": lambda value: _plural(value, "retry", "retries") if value else "",
         "navigation_time": duration,
         "seconds": duration,
     }
     parts += [form(values[key]) for key, form in formats.items() if values.get(key) is not None]
     return "  ".join(part for part in parts if part)
+
+
+def _plural(count: float, one: str, many: str) -> str:
+    return f"{count} {one if count == 1 else many}"
 
 
 def status(values: Values) -> str:
@@ -84,7 +93,43 @@ def status(values: Values) -> str:
     ]
     if values.get("recording"):
         rows.insert(2, ("recording", recording(values["recording"])))
+    if values.get("last_failure"):
+        rows.append(("last failure", _last_failure(values["last_failure"])))
     return table(rows)
+
+
+def _last_failure(values: Values) -> str:
+    where = f"; report and picture: {values['file']}" if values.get("file") else ""
+    return f"{values['job']} at {values['time']}: {values['error']}, {values['message']}{where}"
+
+
+_UNITS = {"distance_left": "m", "sigma": "m", "x": "m", "y": "m", "yaw": "rad"}
+
+
+def report(values: Values) -> str:
+    """The facts behind a failure as aligned lines: what was seen and, where that is known, what was expected."""
+    rows = []
+    for name, value in values.items():
+        expected = values.get(f"expected_{name}")
+        if name.removeprefix("expected_") not in values or not name.startswith("expected_"):
+            beside = "" if expected is None else f", expected {_value(expected)}"
+            rows.append((f"  {name.replace('_', ' ')}", f"{_value(value)} {_UNITS.get(name, '')}".rstrip() + beside))
+    return table(rows)
+
+
+def _value(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def route(values: Values) -> str:
+    """The arrivals as a table, and how it went in all."""
+    rows = [
+        (entry["loop"], entry["place"], duration(entry["seconds"]), pose(entry.get("pose")))
+        for entry in values["arrivals"]
+    ]
+    head = ("LOOP", "PLACE", "AFTER", "POSE")
+    whole = f"arrived {_plural(values['arrived'], 'time', 'times')} in {duration(values['seconds'])}"
+    return f"{table([head, *rows], right=(0, 2))}\n{whole}"
 
 
 def _state(values: Values) -> str:
@@ -159,8 +204,40 @@ def map_facts(values: Values) -> str:
         "time taken": duration(values["seconds"]) if values.get("seconds") is not None else None,
     }
     rows = [(name, fact) for name, fact in facts.items() if fact is not None]
-    rows += [(name.replace("_", " "), _number(value)) for name, value in (values.get("statistics") or {}).items()]
-    return "\n".join([table(rows), *([places(values)] if "places" in values else [])])
+    statistics = values.get("statistics") or {}
+    rows += [(name.replace("_", " "), _number(value)) for name, value in statistics.items() if not _told(name, values)]
+    parts = [table(rows)]
+    if values.get("sessions"):
+        parts.append(_sessions(values))
+    if "places" in values:
+        parts.append(places(values))
+    return "\n".join(parts)
+
+
+def _told(name: str, values: Values) -> bool:
+    """Whether a statistic stands above already, among the facts or the links."""
+    return name in values or name.removesuffix("_links") in (values.get("links") or {})
+
+
+def _sessions(values: Values) -> str:
+    """Teaching drives the map was made of, then recordings that wait to be learnt."""
+    sizes = {entry["file"]: size(entry["bytes"]) for entry in values.get("recordings") or ()}
+    rows = [
+        (
+            "session",
+            entry["session"] + 1,
+            entry["nodes"],
+            entry["recording"] or "-",
+            sizes.get(entry["recording"], "not on disk") if entry["recording"] else "",
+        )
+        for entry in values["sessions"]
+    ]
+    rows += [
+        ("", "", "untrained", entry["file"], size(entry["bytes"]))
+        for entry in values.get("recordings") or ()
+        if not entry["trained"]
+    ]
+    return table([("", "NO", "NODES", "RECORDING", ""), *rows], right=(1, 2, 4))
 
 
 def places(values: Values) -> str:

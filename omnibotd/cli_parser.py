@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any, NoReturn
 
-from omnibotd import __version__, cli_output
+from omnibotd import __version__, cli_files, cli_output
 from omnibotd import cli_verbs as verbs
 
 
@@ -16,6 +16,14 @@ def _number(text: str) -> float:
     return value
 
 
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
+
+
+_count.__name__ = "whole number above 0"
 _number.__name__ = "number"  # how argparse calls it when refusing
 
 
@@ -48,7 +56,7 @@ def parser(default_socket: str) -> argparse.ArgumentParser:
     _add_watching(group)
     _add_moving(group)
     _add_teaching(group)
-    _add_maps(_family(group, "map", "list, choose, show and check maps"))
+    _add_maps(_family(group, "map", "list, choose, show, check, prune, save and delete maps"))
     _add_places(_family(group, "place", "named places of the map"))
     return top
 
@@ -91,6 +99,12 @@ def _add_moving(group: Any) -> None:
     drive.add_argument("wz", type=_number, metavar="W", help="rad/s counter-clockwise")
     drive.add_argument("--for", dest="duration", type=_number, metavar="S", help="seconds; else until Ctrl-C")
     _add_at(_verb(group, "goto", "go to a place; Ctrl-C stops", verbs.goto, "place?"))
+    route = _verb(group, "route", "go to several places one after the other; Ctrl-C stops", verbs.route)
+    route.add_argument("places", nargs="+", metavar="PLACE")
+    route.add_argument("--loops", type=_count, metavar="N", help="times round; once unless told")
+    relocalise = verbs.simple("relocalise", "looking for the place", verbs.found, job=True)
+    text = "find yourself from nothing: forget the pose, choose among the maps, look round, search; Ctrl-C stops"
+    _verb(group, "relocalise", text, relocalise)
     dock = _verb(
         group, "dock", "dock [NAME], or dock save NAME where the robot stands docked; Ctrl-C stops", verbs.dock
     )
@@ -103,8 +117,9 @@ def _add_teaching(group: Any) -> None:
     start = verbs.simple("record.start", "starting", lambda result: f"recording to {result['path']}", "map")
     _verb(record, "start", "begin to record", start, "map")
     _verb(record, "stop", "end the recording", verbs.simple("record.stop", "ending", verbs.recorded))
-    train = verbs.simple("train", "training", cli_output.map_facts, "map", job=True)
-    _verb(group, "train", "make a map of the newest recording", train, "map")
+    train = verbs.simple("train", "training", cli_output.map_facts, "map", "fresh", job=True)
+    made = _verb(group, "train", "learn the newest recording of a map; a further drive adds to the map", train, "map")
+    made.add_argument("--fresh", action="store_const", const=True, help="begin the map anew instead of adding to it")
 
 
 def _add_maps(maps: Any) -> None:
@@ -113,12 +128,37 @@ def _add_maps(maps: Any) -> None:
     _verb(maps, "use", "load a map", use, "map")
     _verb(maps, "info", "facts of a map", verbs.simple("map.info", "reading", cli_output.map_facts, "map"), "map?")
     _verb(maps, "verify", "check a map's file", verbs.verify, "map?")
-    plot = _verb(maps, "plot", "draw a map", verbs.plot, "map?")
-    plot.add_argument("-o", dest="output", metavar="FILE.png", help="default MAP.png")
+    plot = _verb(
+        maps, "plot", "draw a map with places, the way driven last and the route ahead", cli_files.plot, "map?"
+    )
+    plot.add_argument("-o", dest="output", metavar="FILE", help="FILE.png or FILE.svg, default MAP.png")
+    prune = verbs.simple("map.prune", "pruning", verbs.pruned, "map", "nodes")
+    text = "make a map smaller, keeping what covers the floor best; the version before stays on disk"
+    _verb(maps, "prune", text, prune, "map?").add_argument(
+        "--nodes", type=_count, required=True, metavar="N", help="nodes to keep at most"
+    )
+    _add_map_files(maps)
+
+
+def _add_map_files(maps: Any) -> None:
+    export = _verb(maps, "export", "write a map to a file, for safety or another robot", cli_files.export, "map")
+    export.add_argument("-o", dest="output", metavar="FILE", help="default MAP.omap")
+    imported = _verb(maps, "import", "take in a map that was exported", cli_files.import_map, "file")
+    imported.add_argument("--name", metavar="NAME", help="what to call it; the file's name unless told")
+    delete = verbs.simple("map.delete", "deleting", verbs.deleted, "map")
+    _verb(maps, "delete", "take a map out of use; recordings and a safety copy stay on disk", delete, "map")
 
 
 def _add_places(places: Any) -> None:
     add = verbs.simple("place.add", "saving", verbs.saved, "name", "at")
     _add_at(_verb(places, "add", "name a place: where the robot is, unless --at tells", add, "name"))
     _verb(places, "list", "all places and docks", verbs.simple("place.list", "reading", cli_output.places))
+    rename = _verb(
+        places,
+        "rename",
+        "call a place otherwise",
+        verbs.simple("place.rename", "renaming", verbs.saved, "name", "to"),
+    )
+    rename.add_argument("name", metavar="OLD")
+    rename.add_argument("to", metavar="NEW")
     _verb(places, "delete", "forget a place", verbs.simple("place.delete", "deleting", lambda _: "", "name"), "name")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import base64
 import json
 import sys
 import time
@@ -48,14 +47,20 @@ class Terminal:
             self._client.close()
 
     def ask(self, method: str, params: Params, waiting_for: str) -> Params:
-        """The daemon's answer; what takes longer than a second shows that it does."""
+        """The daemon's answer; what takes longer than a second shows that it does, and what it told last."""
+        told = ""
+
+        def on_feedback(values: Params) -> None:
+            nonlocal told
+            told = f": {cli_output.feedback(values)}"
+            self.live.show(waiting_for + told)
+
+        def on_wait(seconds: float) -> None:
+            self.live.show(f"{waiting_for}{told}, {cli_output.duration(seconds)} so far")
+
+        asked = {key: value for key, value in params.items() if value is not None}
         try:
-            return self.client.call(
-                method,
-                {key: value for key, value in params.items() if value is not None},
-                lambda values: self.live.show(f"{waiting_for}: {cli_output.feedback(values)}"),
-                lambda seconds: self.live.show(f"{waiting_for}: waiting, {cli_output.duration(seconds)}"),
-            )
+            return self.client.call(method, asked, on_feedback, on_wait)
         finally:
             self.live.clear()
 
@@ -169,15 +174,24 @@ def saved(result: Mapping[str, Any]) -> str:
     return f"{result['name']} saved at {cli_output.pose(result.get('pose'))}"
 
 
-def plot(terminal: Terminal, options: argparse.Namespace) -> None:
-    result = terminal.ask("map.plot", {"map": options.map}, "drawing")
-    target = options.output or f"{result.get('map') or options.map or 'map'}.png"
-    try:
-        with open(target, "wb") as file:
-            file.write(base64.b64decode(result["png"], validate=True))
-    except OSError as error:
-        raise RemoteError(JOB_FAILED, ErrorName.STORAGE, f"{target}: {error.strerror or error}") from error
-    terminal.show({"map": result.get("map"), "file": target}, f"wrote {target}")
+def route(terminal: Terminal, options: argparse.Namespace) -> None:
+    what = "round " + ", ".join(options.places)
+    simple("route", what, cli_output.route, "places", "loops", job=True)(terminal, options)
+
+
+def found(result: Mapping[str, Any]) -> str:
+    sure = f"confidence {result['confidence']:.2f}"
+    after = cli_output.duration(result["seconds"])
+    return f"found after {after} in map {result['map']}: {cli_output.pose(result.get('pose'))}, {sure}"
+
+
+def deleted(result: Mapping[str, Any]) -> str:
+    return f"map {result['map']} is deleted; its file stays as {result['kept']}, and its recordings are kept"
+
+
+def pruned(result: Mapping[str, Any]) -> str:
+    head = f"pruned from {result['nodes_before']} to {result['nodes']} nodes; the version before is {result['kept']}"
+    return f"{head}\n{cli_output.map_facts(result)}"
 
 
 def verify(terminal: Terminal, options: argparse.Namespace) -> None:

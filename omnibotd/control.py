@@ -7,7 +7,7 @@ import logging
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from firmware_bridge.events import Connected, Disconnected, Telemetry
@@ -183,6 +183,8 @@ class ControlLoop:
         self.absorb()
         seen = self._observe(now)
         wanted = self._decide(seen)
+        if self.running is not None and self.running.last.contact_expected:
+            seen = replace(seen, range_ahead=None)
         self._apply(self._gate.limit(wanted, seen, PERIOD))
         self._fresh_place = self._homing = None
         self._base_lost = False
@@ -207,6 +209,7 @@ class ControlLoop:
             wheel_drop=latest is not None and latest.wheel_drop,
             emergency_stop=latest is not None and latest.emergency_stop,
             charging=latest.charging if latest is not None else None,
+            range_ahead=latest.range_ahead if latest is not None else None,
         )
 
     def _decide(self, seen: Observation) -> Twist2D:
@@ -237,12 +240,15 @@ class ControlLoop:
 
     def progress(self, running: Running, now: float) -> dict[str, Any]:
         """Job feedback under nav2's names."""
+        last = running.last
+        tour = {} if last.waypoint is None else {"waypoint": last.waypoint, "loop": last.loop}
         return {
-            "state": running.last.state,
-            "distance_remaining": running.last.distance_remaining,
+            "state": last.state,
+            "distance_remaining": last.distance_remaining,
             "navigation_time": round(now - running.started, 1),
-            "number_of_recoveries": running.last.recoveries,
+            "number_of_recoveries": last.recoveries,
             "confidence": self.goal_filter.confidence,
+            **tour,
         }
 
     def _finish(self, running: Running, outcome: Outcome) -> None:

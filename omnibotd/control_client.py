@@ -23,12 +23,14 @@ class NoDaemon(Exception):
 
 
 class RemoteError(Exception):
-    """The daemon's answer is an error: `code` and `name` as it sent them, the message for a person."""
+    """The daemon's answer is an error: `code` and `name` as it sent them, the message for a person, and a failed job's
+    `report` of what was seen and expected."""
 
-    def __init__(self, code: int, name: str, message: str) -> None:
+    def __init__(self, code: int, name: str, message: str, report: Params | None = None) -> None:
         super().__init__(message)
         self.code = code
         self.name = name
+        self.report = report if isinstance(report, dict) else {}
 
 
 class Client:
@@ -162,6 +164,7 @@ def _result(message: Params) -> Params:
         result: Params = message.get("result") or {}
         return result
     try:
-        raise RemoteError(int(error["code"]), str(error["data"]["name"]), str(error["message"]))
-    except (KeyError, TypeError, ValueError) as malformed:
+        data = error["data"]
+        raise RemoteError(int(error["code"]), str(data["name"]), str(error["message"]), data.get("report"))
+    except (AttributeError, KeyError, TypeError, ValueError) as malformed:
         raise NoDaemon(f"omnibotd's answer can't be read: {error}") from malformed

@@ -39,17 +39,19 @@ def code_of(name: ErrorName) -> int:
 
 
 class RpcError(Exception):
-    """What a request is answered with instead of a result; `message` is one sentence for a person."""
+    """What a request is answered with instead of a result; `message` is one sentence for a person, `report` the facts
+    behind it: what was seen, what was expected."""
 
-    def __init__(self, code: int, name: ErrorName, message: str) -> None:
+    def __init__(self, code: int, name: ErrorName, message: str, report: Mapping[str, Any] | None = None) -> None:
         super().__init__(message)
         self.code = code
         self.name = name
         self.message = message
+        self.report = dict(report or {})
 
     @classmethod
-    def named(cls, name: ErrorName, message: str) -> RpcError:
-        return cls(code_of(name), name, message)
+    def named(cls, name: ErrorName, message: str, report: Mapping[str, Any] | None = None) -> RpcError:
+        return cls(code_of(name), name, message, report)
 
 
 class Request(NamedTuple):
@@ -181,8 +183,15 @@ def encode_response(request_id: RequestId, result: Mapping[str, Any]) -> bytes:
     return _line({"jsonrpc": "2.0", "id": request_id, "result": result})
 
 
-def encode_error(request_id: RequestId, code: int, message: str, name: str = ErrorName.INVALID) -> bytes:
-    error = {"code": code, "message": message, "data": {"name": name}}
+def encode_error(
+    request_id: RequestId,
+    code: int,
+    message: str,
+    name: str = ErrorName.INVALID,
+    report: Mapping[str, Any] | None = None,
+) -> bytes:
+    data = {"name": name, "report": report} if report else {"name": name}
+    error = {"code": code, "message": message, "data": data}
     return _line({"jsonrpc": "2.0", "id": request_id, "error": error})
 
 
@@ -195,15 +204,16 @@ def _line(message: dict[str, Any]) -> bytes:
     try:
         text = json.dumps(message, allow_nan=False, separators=(",", ":"))
     except ValueError:
-        text = json.dumps(_nulled(message), allow_nan=False, separators=(",", ":"))
+        text = json.dumps(nulled(message), allow_nan=False, separators=(",", ":"))
     return text.encode() + b"\n"
 
 
-def _nulled(value: Any) -> Any:
+def nulled(value: Any) -> Any:
+    """The same with null for every number that JSON has no word for."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):
-        return {key: _nulled(item) for key, item in value.items()}
+        return {key: nulled(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_nulled(item) for item in value]
+        return [nulled(item) for item in value]
     return value

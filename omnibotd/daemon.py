@@ -28,7 +28,10 @@ from omnibotd.io.motor_base import MotorBase, open_serial
 from omnibotd.io.recorder import Recorder
 from omnibotd.io.systemd_notify import Notifier
 from omnibotd.perception import OffLoop, Perception
+from omnibotd.pruning_process import prune_in_child
+from omnibotd.recognition import Recogniser
 from omnibotd.requests import Requests
+from omnibotd.requests.maps import Pruner
 from omnibotd.requests.robot import Robot
 from omnibotd.requests.teaching import Trainer
 from omnibotd.training_process import train_in_child
@@ -47,6 +50,7 @@ class Adapters:
     off_loop: OffLoop
     trainer: Trainer = train_in_child
     open_recorder: Callable[[Path], Recorder] = Recorder
+    pruner: Pruner = prune_in_child
 
 
 class Daemon:
@@ -56,16 +60,24 @@ class Daemon:
         self._config, self._adapters = config, adapters
         self.control = ControlLoop(config, adapters.base, adapters.camera, adapters.notifier)
         self.perception = Perception(config, self.control, adapters.camera, adapters.off_loop)
+        self.recogniser = Recogniser(
+            self.control,
+            self.perception,
+            adapters.camera,
+            adapters.store,
+            adapters.off_loop,
+        )
         robot = Robot(
             config,
             self.control,
             self.perception,
+            self.recogniser,
             adapters.base,
             adapters.camera,
             adapters.store,
             adapters.off_loop,
         )
-        self.requests = Requests(robot, adapters.trainer, adapters.open_recorder)
+        self.requests = Requests(robot, adapters.trainer, adapters.pruner, adapters.open_recorder)
 
     async def call(
         self, method: str, params: dict[str, Any] | None = None, feedback: Feedback | None = None
@@ -92,7 +104,9 @@ class Daemon:
             adapters.camera.run,
             self.control.run,
             self.perception.run,
+            self.recogniser.run,
             self.requests.teaching.watch_recording,
+            self.requests.trail.watch,
             self._report_readiness,
         ]
 

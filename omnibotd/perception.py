@@ -13,15 +13,16 @@ from omnibotd.config import Config
 from omnibotd.control import ControlLoop
 from omnibotd.core.decision import HomingRequest
 from omnibotd.core.docking.registration import DockRegistration
-from omnibotd.core.errors import CoreError
+from omnibotd.core.errors import CoreError, MapError
 from omnibotd.core.geometry import Pose2D
+from omnibotd.core.mapping.calibration import calibration_differs
 from omnibotd.core.mapping.topo_map import TopoMap
-from omnibotd.core.navigation.localization import Localizer
 from omnibotd.core.percept import HomingEstimate
 from omnibotd.core.vision import image_circle
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Frame
 from omnibotd.io.camera import Camera, load_calibration
+from omnibotd.presets import Locating, preset_of
 
 log = logging.getLogger(__name__)
 
@@ -41,18 +42,36 @@ class Perception:
         self.model: CameraModel | None = None
         self.lens_known = asyncio.Event()
         self.topo_map: TopoMap | None = None
-        self._localizer: Localizer | None = None
+        self._localizer: Locating | None = None
         self._registration: tuple[str, DockRegistration] | None = None
         self._recorded_at = -math.inf
         self._first_frames: list[Frame] = []
         self.reason = ""
+        self.loading: str | None = None  # the map that is being made ready: no job may start on the one before
 
     async def use(self, topo_map: TopoMap | None) -> None:
         """Work with this map from the next frame on. Raises CoreError where it does not fit the camera."""
         localizer = None
         if topo_map is not None and self.model is not None:
-            localizer = await self._off_loop(Localizer, topo_map, self.model)
+            self.loading = topo_map.name
+            try:
+                localizer = await self.localizer_of(topo_map, self.model)
+            finally:
+                self.loading = None
         self.topo_map, self._localizer, self._registration = topo_map, localizer, None
+        self._control.forget_pose()
+
+    async def localizer_of(self, topo_map: TopoMap, model: CameraModel) -> Locating:
+        """One of its own for this map, by the map's method. MapError where the camera is not the one taught with."""
+        if sentence := calibration_differs(topo_map, model):
+            raise MapError(sentence)
+        made: Locating = await self._off_loop(preset_of(topo_map).localizer, topo_map, model)
+        return made
+
+    async def relocalise(self) -> None:
+        """Forget where the robot was; the next frame is looked up in the whole map."""
+        if self._localizer is not None:
+            await self._off_loop(self._localizer.reset)  # on the worker, where no update can be half done
         self._control.forget_pose()
 
     def edited(self, topo_map: TopoMap) -> None:
@@ -111,7 +130,11 @@ class Perception:
             model.cx,
             model.cy,
         )
-        await self.use(self.topo_map)
+        try:
+            await self.use(self.topo_map)
+        except CoreError as error:
+            log.error("going on without a map: %s", error)
+            await self.use(None)
 
     async def _record(self, frame: Frame, odom_from_base: Pose2D) -> None:
         if frame.stamp - self._recorded_at < 0.9 / self._config.recording.frame_rate:

@@ -81,9 +81,29 @@ ANSWERS: dict[str, Params] = {
     "map.verify": {"ok": True, "sections": [{"name": "poses", "bytes": 14400, "ok": True}], "message": "all is well"},
     "place.add": {"name": "desk", "pose": {"x": 1.0, "y": 2.0, "yaw": 0.0}},
     "place.list": {"places": {"desk": {"x": -1.0, "y": 2.0, "yaw": 3.1415927}}, "docks": {}},
+    "place.rename": {"name": "table", "pose": {"x": 1.0, "y": 2.0, "yaw": 0.0}},
     "place.delete": {},
+    "map.prune": {"map": "flat", "nodes": 800, "nodes_before": 1200, "bytes": 600_000, "kept": "/maps/flat.omap~"},
+    "map.delete": {"map": "flat", "kept": "/maps/flat.omap~"},
     "train": {"map": "flat", "nodes": 1200, "links": {"odometry": 1199}, "seconds": 42.0, "warnings": []},
     "goto": {"place": "kitchen", "pose": {"x": 3.0, "y": 4.0, "yaw": 0.0}, "seconds": 12.5, "error_estimate_m": 0.04},
+    "route": {
+        "places": ["desk", "sofa"],
+        "loops": 1,
+        "seconds": 75.0,
+        "arrived": 2,
+        "arrivals": [
+            {"place": "desk", "loop": 1, "pose": {"x": 1.0, "y": 2.0, "yaw": 0.0}, "seconds": 30.5},
+            {"place": "sofa", "loop": 1, "pose": {"x": -1.0, "y": 0.5, "yaw": 3.1415927}, "seconds": 75.0},
+        ],
+    },
+    "relocalise": {
+        "map": "flat",
+        "pose": {"x": 1.0, "y": 2.0, "yaw": 0.0},
+        "confidence": 0.934,
+        "sigma": 0.03,
+        "seconds": 4.2,
+    },
     "dock": {"dock": "home", "seconds": 20.0, "retries": 1},
     "dock.save": {"name": "home", "pose": {"x": 0.0, "y": 0.0, "yaw": 0.0}},
 }
@@ -178,18 +198,26 @@ def until(condition: Callable[[], object]) -> None:
         ("record start flat", "record.start", {"map": "flat"}),
         ("record stop", "record.stop", {}),
         ("train flat", "train", {"map": "flat"}),
+        ("train flat --fresh", "train", {"map": "flat", "fresh": True}),
         ("map list", "map.list", {}),
         ("map use flat", "map.use", {"map": "flat"}),
         ("map info", "map.info", {}),
         ("map info flat", "map.info", {"map": "flat"}),
         ("map verify flat", "map.verify", {"map": "flat"}),
         ("map plot", "map.plot", {}),
+        ("map prune --nodes 800", "map.prune", {"nodes": 800}),
+        ("map prune flat --nodes 800", "map.prune", {"map": "flat", "nodes": 800}),
+        ("map delete flat", "map.delete", {"map": "flat"}),
         ("place add desk", "place.add", {"name": "desk"}),
         ("place add desk --at -1,2,-0.5", "place.add", {"name": "desk", "at": [-1.0, 2.0, -0.5]}),
         ("place list", "place.list", {}),
+        ("place rename desk table", "place.rename", {"name": "desk", "to": "table"}),
         ("place delete desk", "place.delete", {"name": "desk"}),
         ("goto kitchen", "goto", {"place": "kitchen"}),
         ("goto --at -1,0,3", "goto", {"at": [-1.0, 0.0, 3.0]}),
+        ("route desk", "route", {"places": ["desk"]}),
+        ("route desk sofa --loops 3", "route", {"places": ["desk", "sofa"], "loops": 3}),
+        ("relocalise", "relocalise", {}),
         ("dock", "dock", {}),
         ("dock home", "dock", {"name": "home"}),
         ("dock save home", "dock.save", {"name": "home"}),
@@ -231,6 +259,16 @@ def test_every_verb_asks_what_the_contract_says(
         "dock home attic",
         "map",
         "map burn",
+        "map prune",
+        "map prune --nodes none",
+        "map prune --nodes 0",
+        "map export",
+        "map import",
+        "map delete",
+        "route",
+        "route desk --loops 0",
+        "route desk --loops 1.5",
+        "place rename desk",
         "place add",
         "status --wat",
     ],
@@ -270,6 +308,79 @@ def test_a_refusal_or_failure_is_told_with_its_name_and_exit_code(
         "ok": False,
         "error": {"code": exit_code, "name": error.name, "message": error.message},
     }
+
+
+def test_a_failed_job_is_explained_line_by_line(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
+    report = {"confidence": 0.1234567, "expected_confidence": 0.6, "metres_since_sure": 2.0, "x": -1.5}
+    report |= {"expected_node": 812, "state": "SEARCHING"}
+    daemon.failure = RpcError.named(ErrorName.LOST, "no view fits the map surely", report)
+    assert cli.main(["goto", "kitchen"]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        "omnibotctl: LOST: no view fits the map surely",
+        "  confidence         0.1235, expected 0.6",
+        "  metres since sure  2",
+        "  x                  -1.5 m",
+        "  expected node      812",
+        "  state              SEARCHING",
+    ]
+    assert cli.main(["goto", "kitchen", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["error"]["report"] == report
+
+
+def test_status_names_the_last_failure(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
+    failure = {"time": "2026-01-02T03:04:05+00:00", "job": "goto", "error": "LOST", "message": "no view fits"}
+    daemon.answers["status"] = STATUS | {"last_failure": failure | {"file": "/maps/failures/0003.json"}}
+    cli.main(["status"])
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("last failure  goto at 2026-01-02T03:04:05+00:00: LOST, no view fits")
+    assert last.endswith("/maps/failures/0003.json")
+
+
+def test_a_route_is_told_arrival_by_arrival(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
+    progress = {"state": "FOLLOWING", "waypoint": 2, "waypoints": 2, "loop": 1, "loops": 3, "distance_remaining": 1.5}
+    daemon.feedback = [progress | {"navigation_time": 12.0, "confidence": 0.97, "number_of_recoveries": 1}]
+    assert cli.main(["route", "desk", "sofa"]) == 0
+    printed = capsys.readouterr()
+    where = "FOLLOWING  way-point 2 of 2  loop 1 of 3  1.50 m to go  confidence 0.97  1 recovery  12.0 s"
+    assert printed.err == f"round desk, sofa: {where}\n"
+    assert printed.out.splitlines() == [
+        "LOOP  PLACE       AFTER  POSE",
+        "   1  desk       30.5 s  x 1.000 m  y 2.000 m  yaw 0.0°",
+        "   1  sofa   1 min 15 s  x -1.000 m  y 0.500 m  yaw 180.0°",
+        "arrived 2 times in 1 min 15 s",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "shown"),
+    [
+        ("relocalise", "found after 4.2 s in map flat: x 1.000 m  y 2.000 m  yaw 0.0°, confidence 0.93"),
+        ("map delete flat", "map flat is deleted; its file stays as /maps/flat.omap~, and its recordings are kept"),
+        ("map prune --nodes 800", "pruned from 1200 to 800 nodes; the version before is /maps/flat.omap~"),
+        ("place rename desk table", "table saved at x 1.000 m  y 2.000 m  yaw 0.0°"),
+    ],
+)
+def test_what_was_done_is_said(daemon: Daemon, capsys: pytest.CaptureFixture[str], words: str, shown: str) -> None:
+    assert cli.main(words.split()) == 0
+    assert capsys.readouterr().out.splitlines()[0] == shown
+
+
+def test_info_lists_the_drives_and_what_is_not_learnt_yet(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
+    daemon.answers["map.info"] = ANSWERS["map.info"] | {
+        "sessions": [
+            {"session": 0, "recording": "flat.0001.mcap", "nodes": 900},
+            {"session": 1, "recording": "flat.0002.mcap", "nodes": 300},
+        ],
+        "recordings": [
+            {"file": "flat.0002.mcap", "bytes": 2_000_000, "trained": True},
+            {"file": "flat.0003.mcap", "bytes": 1_000, "trained": False},
+        ],
+    }
+    cli.main(["map", "info"])
+    words = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["session", "1", "900", "flat.0001.mcap", "not", "on", "disk"] in words
+    assert ["session", "2", "300", "flat.0002.mcap", "2.0", "MB"] in words
+    assert ["untrained", "flat.0003.mcap", "1.0", "kB"] in words
 
 
 def test_status_is_an_aligned_table(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> None:
@@ -343,6 +454,11 @@ def test_the_picture_of_a_map_is_written(daemon: Daemon, tmp_path: Path, capsys:
     assert cli.main(["--json", "map", "plot", "flat", "-o", "there.png"]) == 0
     assert (tmp_path / "there.png").read_bytes() == PNG
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["file"] == "there.png"
+    daemon.answers["map.plot"] = {"map": "flat", "svg": base64.b64encode(b"<svg/>").decode()}
+    assert cli.main(["map", "plot", "-o", "there.SVG"]) == 0
+    assert daemon.asked[-1] == ("map.plot", {"format": "svg"})
+    assert (tmp_path / "there.SVG").read_bytes() == b"<svg/>"
+    daemon.answers["map.plot"] = ANSWERS["map.plot"]
     assert cli.main(["map", "plot", "-o", "missing/there.png"]) == 1
     assert "STORAGE: missing/there.png: No such file" in capsys.readouterr().err
 

@@ -142,7 +142,7 @@ docking: 3
 colour: blue
 """
     path = tmp_path / "robot.yaml"
-    sections = "camera, base, navigation, docking, recording, storage, control"
+    sections = "camera, base, navigation, docking, recording, mapping, storage, control"
     assert problems(tmp_path, text) == (
         f"{path}:2: camera.sorce: unknown key; did you mean camera.source?",
         f"{path}:2: camera.source: missing, expected a device, an http:// address, a video file or a folder of images",

@@ -1,10 +1,13 @@
+from xml.etree import ElementTree
+
 import cv2
 import numpy as np
 import pytest
 
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import EdgeKind, Edges, TopoMap
-from omnibotd.map_plot import FLOOR_RADIUS, LONG_SIDE, NODE, PLACE, ROBOT, Path, plot_png
+from omnibotd.map_canvas import LONG_SIDE
+from omnibotd.map_plot import FLOOR_RADIUS, NODE, PLACE, ROBOT, Path, plot_png, plot_svg
 
 
 def line_map(length: float) -> TopoMap:
@@ -42,3 +45,17 @@ def test_places_and_robot_stand_where_they_are() -> None:
     assert abs(int(np.median(place)) - nodes.max()) < 60  # its name stands to the right
     width = 3.9 + 4 * FLOOR_RADIUS  # m: the nodes, and twice the floor beside them on either side
     assert len(columns(image, (1, 2, 3))) == pytest.approx(LONG_SIDE / width, abs=5)
+
+
+def test_the_same_picture_as_shapes() -> None:
+    topo_map = line_map(4.0).with_place("a<b&c", Pose2D(3.9, 0.0, 1.57))
+    svg = ElementTree.fromstring(plot_svg(topo_map, Pose2D(), [Path([(0.0, 0.4), (1.0, 0.4)], (1, 2, 3), "way")]))
+    texts = {element.text for element in svg.iter("{http://www.w3.org/2000/svg}text")}
+    assert {"a<b&c", "way", "robot", "dock"} & texts == {"a<b&c", "way", "robot"}
+    ways = [element.get("d", "") for element in svg.iter("{http://www.w3.org/2000/svg}path")]
+    links = [way for way in ways if way.count("L") == 39]
+    assert len(links) == 1  # all of one kind are one shape
+    assert sum(way.count("h0") for way in ways) == 2 * 40 + 1  # floor and node of each, and the place
+    height = int(svg.get("height", "0"))
+    assert int(svg.get("width", "0")) < 1500
+    assert 0 < height < 1500

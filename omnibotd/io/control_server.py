@@ -235,7 +235,7 @@ class _Connection:
         try:
             return protocol.encode_response(request.id, await self._result(request))
         except RpcError as error:
-            return protocol.encode_error(request.id, error.code, error.message, error.name)
+            return protocol.encode_error(request.id, error.code, error.message, error.name, error.report)
         except asyncio.CancelledError:
             task = asyncio.current_task()
             if task is None or task.cancelling():  # it is we who are cancelled, not the job we waited for

@@ -15,20 +15,37 @@ from omnibotd.io.control_server import Session
 from omnibotd.io.map_store import MapStoreError
 from omnibotd.io.recorder import Recorder
 from omnibotd.io.recording import RecordingError
+from omnibotd.requests.driving import Driving
+from omnibotd.requests.failures import Failures
 from omnibotd.requests.jobs import Jobs
-from omnibotd.requests.maps import Maps
+from omnibotd.requests.map_files import MapFiles
+from omnibotd.requests.maps import Maps, Pruner
 from omnibotd.requests.params import Params
+from omnibotd.requests.places import Places
 from omnibotd.requests.robot import Robot
 from omnibotd.requests.status import Status
 from omnibotd.requests.teaching import Teaching, Trainer
+from omnibotd.requests.trail import Trail
 
 
 class Requests:
     """Answers requests; long ones when their job has ended."""
 
-    def __init__(self, robot: Robot, trainer: Trainer, open_recorder: Callable[[Path], Recorder]) -> None:
+    def __init__(
+        self, robot: Robot, trainer: Trainer, pruner: Pruner, open_recorder: Callable[[Path], Recorder]
+    ) -> None:
         self.teaching = Teaching(robot, trainer, open_recorder)
-        groups = (Status(robot, self.teaching), self.teaching, Maps(robot), Jobs(robot, self.teaching))
+        self.trail = Trail(robot)
+        failures = Failures(robot)
+        groups = (
+            Status(robot, self.teaching, failures),
+            Driving(robot, self.teaching),
+            self.teaching,
+            Maps(robot, self.teaching, self.trail, pruner),
+            MapFiles(robot),
+            Places(robot),
+            Jobs(robot, failures),
+        )
         self._tasks: set[asyncio.Task[dict[str, Any]]] = set()
         self._methods = {name: method for group in groups for name, method in group.methods().items()}
 

@@ -1,94 +1,83 @@
-"""What makes the robot move: `drive`, `goto`, `dock`, and `stop`, which is always accepted."""
+"""What the robot does by itself: `goto`, `route`, `relocalise` and `dock`."""
 
 from __future__ import annotations
 
-import asyncio
-import logging
 import math
-from functools import partial
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
-from omnibotd.control import PERIOD, Feedback, Running, Teleop
+from omnibotd.control import PERIOD, Feedback, Running
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.docking.docker import Docker, DockingParameters, staging_pose
 from omnibotd.core.error_name import ErrorName
-from omnibotd.core.geometry import Pose2D, Twist2D
-from omnibotd.core.jobs import DockingTrip, Job
+from omnibotd.core.geometry import Pose2D
+from omnibotd.core.jobs import DockingTrip, Job, Relocalisation, Rounds
 from omnibotd.core.mapping.topo_map import Dock, TopoMap
-from omnibotd.core.navigation.navigator import Navigator, Tolerance
+from omnibotd.core.navigation.navigator import Tolerance
 from omnibotd.io.control_server import Session
+from omnibotd.presets import preset_of
+from omnibotd.requests.failures import Failures
 from omnibotd.requests.params import Params, invalid, pose_values
 from omnibotd.requests.robot import Method, Robot
-from omnibotd.requests.teaching import Teaching
 
-log = logging.getLogger(__name__)
+MAX_WAYPOINTS = 100  # places of one route: a guided tour of a museum has fewer
+MAX_LOOPS = 10_000  # a patrol round a flat for a week
+LISTED_ARRIVALS = 1000  # the newest ones a route's answer lists; a hundred kilobytes
+
+
+@dataclass
+class _Log:
+    """Arrivals of a route, noticed when its job turns to the next way-point."""
+
+    robot: Robot
+    names: list[str]
+    began: float
+    listed: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=LISTED_ARRIVALS))
+    count: int = 0
+
+    def update(self, waypoint: int | None, loop: int | None) -> None:
+        """The job is on its way to this way-point, in this loop (both from 1); all before it were reached."""
+        reached = ((loop or 1) - 1) * len(self.names) + (waypoint or 1) - 1
+        if reached > self.count:
+            self.note()
+
+    def note(self) -> None:
+        """The robot stands at the next way-point."""
+        self.listed.append(
+            {
+                "place": self.names[self.count % len(self.names)],
+                "loop": self.count // len(self.names) + 1,
+                "pose": pose_values(self.robot.control.map_from_base),
+                "seconds": round(self.robot.now() - self.began, 1),
+            }
+        )
+        self.count += 1
 
 
 class Jobs:
     """One job at a time; each request is answered when its job has ended."""
 
-    def __init__(self, robot: Robot, teaching: Teaching) -> None:
-        self._robot, self._teaching = robot, teaching
+    def __init__(self, robot: Robot, failures: Failures) -> None:
+        self._robot, self._failures = robot, failures
 
     def methods(self) -> dict[str, Method]:
         return {
-            "drive": self._drive,
-            "stop": self._stop,
             "goto": self._goto,
+            "route": self._route,
+            "relocalise": self._relocalise,
             "dock.save": self._dock_save,
             "dock": self._dock,
         }
-
-    async def _drive(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
-        twist = Twist2D(params.number("vx"), params.number("wz"))
-        duration = params.number("for", self._robot.config.base.cmd_vel_timeout)
-        lasting = "for" in params or duration != self._robot.config.base.cmd_vel_timeout
-        params.end()
-        self._robot.refuse_if_busy()
-        self._robot.refuse_if_unsafe()
-        if not 0.0 < duration <= 3600.0:
-            raise invalid(f"for: {duration} given, expected seconds above 0 and up to 3600")
-        teleop = Teleop(twist, self._robot.now() + duration, session)
-        self._robot.control.teleop = teleop
-        if session is not None:
-            session.on_close(partial(self._let_go, session))
-        if lasting:
-            await self._until_over(teleop)
-        return {}
-
-    async def _until_over(self, teleop: Teleop) -> None:
-        """Wait for the end of a drive; whatever ended it before its time is said."""
-        while self._robot.now() < teleop.until:
-            if self._robot.control.teleop is not teleop:
-                self._robot.refuse_if_unsafe()
-                raise RpcError.named(ErrorName.CANCELLED, "the drive was stopped before its time was over")
-            await asyncio.sleep(PERIOD)
-
-    def _let_go(self, session: Session) -> None:
-        """The client that drove went away: stop now, not at the time-out."""
-        teleop = self._robot.control.teleop
-        if teleop is not None and teleop.hand is session:
-            log.warning("the driving client went away; stopping")
-            self._robot.control.halt("the driving client went away")
-
-    async def _stop(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
-        params.end()
-        self._robot.control.halt("stopped on request")
-        self._teaching.cancel_training()
-        return {}
 
     async def _goto(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         at = params.pose("at")
         name = "" if at is not None else params.name("place")
         params.end()
-        topo_map = self._robot.active_map()
-        if at is None:
-            if name not in topo_map.places:
-                known = ", ".join(sorted(topo_map.places)) or "none"
-                raise RpcError.named(ErrorName.NO_SUCH_PLACE, f"no place {name!r}; places of this map: {known}")
-            at = topo_map.places[name]
+        goal = at or self._place(name)
         began = self._robot.now()
-        await self._run_job("goto", await self._trip(topo_map, at), feedback)
+        await self._run("goto", lambda topo_map: self._trip(topo_map, goal), feedback, (goal,))
         return {
             "place": name or None,
             "pose": pose_values(self._robot.control.map_from_base),
@@ -96,16 +85,66 @@ class Jobs:
             "error_estimate_m": round(math.sqrt(self._robot.control.goal_filter.variance), 3),
         }
 
+    async def _route(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
+        names, loops = params.names("places"), params.whole("loops", 1, 1, MAX_LOOPS)
+        params.end()
+        if not 1 <= len(names) <= MAX_WAYPOINTS:
+            raise invalid(f"places: {len(names)} given, expected 1 to {MAX_WAYPOINTS}")
+        goals = tuple(self._place(name) for name in names)
+        arrivals = _Log(self._robot, names, self._robot.now())
+
+        def make(topo_map: TopoMap) -> Job:
+            return Rounds(goals, loops, lambda goal: self._trip(topo_map, goal))
+
+        def progress(values: dict[str, Any]) -> None:
+            arrivals.update(values.get("waypoint"), values.get("loop"))
+            feedback({**values, "waypoints": len(names), "loops": loops})
+
+        await self._run("route", make, progress, goals)
+        arrivals.note()
+        return {
+            "places": names,
+            "loops": loops,
+            "seconds": round(self._robot.now() - arrivals.began, 1),
+            "arrived": arrivals.count,
+            "arrivals": list(arrivals.listed),
+        }
+
+    async def _relocalise(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
+        params.end()
+        self._robot.refuse_if_busy()
+        self._robot.refuse_if_unsafe()
+        began, stops = self._robot.now(), self._robot.stops
+        await self._robot.perception.relocalise()
+        feedback({"state": "RECOGNISING"})
+        await self._robot.recogniser.wake_up()
+        self._robot.refuse_if_stopped(stops)
+        control = self._robot.control
+        radius = self._robot.config.base.robot_radius
+        await self._run(
+            "relocalise",
+            lambda topo_map: Relocalisation(topo_map, control.goal_filter, control.limits, radius, PERIOD),
+            feedback,
+        )
+        return {
+            "map": self._robot.active_map().name,
+            "pose": pose_values(control.map_from_base),
+            "confidence": control.goal_filter.confidence,
+            "sigma": control.place.sigma if control.place else None,
+            "seconds": round(self._robot.now() - began, 1),
+        }
+
     async def _dock_save(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         name = params.name("name")
         params.end()
-        topo_map = self._robot.active_map()
+        self._robot.active_map()
         self._robot.refuse_if_busy()
         frame = self._robot.camera.latest
         if frame is None or not self._robot.camera.ok(self._robot.now()):
             raise RpcError.named(ErrorName.CAMERA_DOWN, f"no picture of the dock: {self._robot.camera.reason}")
         pose = self._robot.sure_pose(f"dock {name!r}")
-        await self._robot.edit(topo_map.with_dock(name, Dock(pose, await self._robot.off_loop(frame.jpeg))))
+        dock = Dock(pose, await self._robot.off_loop(frame.jpeg))
+        await self._robot.edit(lambda topo_map: topo_map.with_dock(name, dock))
         return {"name": name, "pose": pose_values(pose)}
 
     async def _dock(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
@@ -121,42 +160,55 @@ class Jobs:
             return {"dock": name, "seconds": 0.0, "retries": 0}
         began = self._robot.now()
         pose = staging_pose(topo_map.docks[name].map_from_dock)
-        trip = DockingTrip(
-            await self._trip(topo_map, pose),
-            Docker(name, DockingParameters(max_retries=self._robot.config.docking.max_retries)),
+        docker = Docker(name, DockingParameters(max_retries=self._robot.config.docking.max_retries))
+        running = await self._run(
+            "dock", lambda topo_map: DockingTrip(self._trip(topo_map, pose), docker), feedback, (pose,)
         )
-        running = await self._run_job("dock", trip, feedback)
         return {
             "dock": name,
             "seconds": round(self._robot.now() - began, 1),
             "retries": running.last.recoveries,
         }
 
-    async def _trip(self, topo_map: TopoMap, goal: Pose2D) -> Navigator:
-        self._robot.refuse_if_busy()
-        tolerance = Tolerance(
-            self._robot.config.navigation.xy_goal_tolerance, self._robot.config.navigation.yaw_goal_tolerance
-        )
-        navigator: Navigator = await self._robot.off_loop(
-            Navigator,
+    def _place(self, name: str) -> Pose2D:
+        topo_map = self._robot.active_map()
+        if name not in topo_map.places:
+            known = ", ".join(sorted(topo_map.places)) or "none"
+            raise RpcError.named(ErrorName.NO_SUCH_PLACE, f"no place {name!r}; places of this map: {known}")
+        return topo_map.places[name]
+
+    def _trip(self, topo_map: TopoMap, goal: Pose2D) -> Job:
+        """A navigator to the goal, by the map's method."""
+        settings = self._robot.config.navigation
+        return preset_of(topo_map).navigator(
             topo_map,
             goal,
             self._robot.control.goal_filter,
             self._robot.control.limits,
-            tolerance,
+            Tolerance(settings.xy_goal_tolerance, settings.yaw_goal_tolerance),
             self._robot.config.base.robot_radius,
             PERIOD,
         )
-        return navigator
 
-    async def _run_job(self, name: str, job: Job, feedback: Feedback) -> Running:
-        """Wait for the job's end; a failure is raised under its own name."""
-        self._robot.refuse_if_busy()
-        self._robot.refuse_if_unsafe()
-        future = self._robot.control.start(name, job, feedback)
-        running = self._robot.control.running
+    async def _run(
+        self, name: str, make: Callable[[TopoMap], Job], feedback: Feedback, goals: tuple[Pose2D, ...] = ()
+    ) -> Running:
+        """Make the job off the loop, run it and wait for its end; a failure is raised under its own name."""
+        robot, control = self._robot, self._robot.control
+        robot.refuse_if_busy()
+        pose_filter, stops = control.goal_filter, robot.stops
+        job = await robot.off_loop(make, robot.active_map())
+        robot.refuse_if_stopped(stops)
+        robot.refuse_if_busy()
+        robot.refuse_if_unsafe()
+        if control.goal_filter is not pose_filter:
+            raise RpcError.named(ErrorName.BUSY, f"another map came into use while {name} was prepared; ask again")
+        robot.goals = goals
+        future = control.start(name, job, feedback)
+        running = control.running
         assert running is not None
         outcome = await future
         if outcome.error is not None:
-            raise RpcError.named(outcome.error, outcome.message)
+            await self._failures.keep(name, outcome, goals)
+            raise RpcError.named(outcome.error, outcome.message, outcome.report)
         return running

@@ -31,6 +31,32 @@ class Params:
             raise invalid(f"{key}: {value!r} given, expected a name of letters, digits, - and _ (at most 64)")
         return value
 
+    def names(self, key: str) -> list[str]:
+        values = self._values.pop(key, None)
+        if not isinstance(values, list):
+            raise invalid(f"{key}: {values!r} given, expected a list of names")
+        return [Params({key: value}).name(key) for value in values]
+
+    def whole(self, key: str, default: int | None, low: int, high: int) -> int:
+        value = self._values.pop(key, None)
+        value = default if value is None else value
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise invalid(f"{key}: {value!r} given, expected a whole number from {low} to {high}")
+        return value
+
+    def flag(self, key: str) -> bool:
+        value = self._values.pop(key, None)
+        if value is not None and not isinstance(value, bool):
+            raise invalid(f"{key}: {value!r} given, expected true or false")
+        return bool(value)
+
+    def text(self, key: str, limit: int) -> str:
+        """Up to `limit` characters of ASCII."""
+        value = self._values.pop(key, None)
+        if not isinstance(value, str) or len(value) > limit or not value.isascii():
+            raise invalid(f"{key}: expected a text of at most {limit} characters")
+        return value
+
     def pose(self, key: str) -> Pose2D | None:
         value = self._values.pop(key, None)
         if value is None:

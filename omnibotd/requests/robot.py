@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from omnibotd.config import Config
 from omnibotd.control import ControlLoop, Feedback
@@ -16,9 +19,10 @@ from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation.navigator import SURE
 from omnibotd.io.camera import Camera
 from omnibotd.io.control_server import Session
-from omnibotd.io.map_store import MapStore
+from omnibotd.io.map_store import MapStore, MapStoreError
 from omnibotd.io.motor_base import MotorBase
 from omnibotd.perception import OffLoop, Perception
+from omnibotd.recognition import Recogniser
 from omnibotd.requests.params import Params
 
 Method = Callable[[Params, Session | None, Feedback], Coroutine[Any, Any, dict[str, Any]]]
@@ -26,15 +30,23 @@ Method = Callable[[Params, Session | None, Feedback], Coroutine[Any, Any, dict[s
 
 @dataclass
 class Robot:
-    """The parts of the daemon that requests read and command."""
+    """The parts of the daemon that requests read and command.
+
+    `editing` is held by whoever changes a stored map: two edits at once would lose one. `goals` are those of the last
+    job. `stops` counts the requests to stop: a job that was asked for before one must not start after it.
+    """
 
     config: Config
     control: ControlLoop
     perception: Perception
+    recogniser: Recogniser
     base: MotorBase
     camera: Camera
     store: MapStore
     off_loop: OffLoop
+    editing: asyncio.Lock = field(default_factory=asyncio.Lock)
+    goals: tuple[Pose2D, ...] = ()
+    stops: int = 0
 
     @staticmethod
     def now() -> float:
@@ -43,6 +55,13 @@ class Robot:
     def refuse_if_busy(self) -> None:
         if self.control.running is not None:
             raise RpcError.named(ErrorName.BUSY, f"busy with {self.control.running.name}; say stop first")
+        if self.perception.loading is not None:
+            raise RpcError.named(ErrorName.BUSY, f"map {self.perception.loading!r} is being loaded; try again")
+
+    def refuse_if_stopped(self, stops: int) -> None:
+        """Where a stop came since `stops` was read."""
+        if self.stops != stops:
+            raise RpcError.named(ErrorName.CANCELLED, "stopped on request")
 
     def refuse_if_unsafe(self) -> None:
         if self.base.latest is not None and self.base.latest.emergency_stop:
@@ -64,12 +83,29 @@ class Robot:
             )
         return pose
 
+    def is_active(self, name: str) -> bool:
+        return self.perception.topo_map is not None and self.perception.topo_map.name == name
+
     async def use(self, topo_map: TopoMap) -> None:
         self.refuse_if_busy()
         await self.perception.use(topo_map)
-        self.store.set_active(topo_map.name)
+        await self.recogniser.chosen()
+        await asyncio.to_thread(self.store.set_active, topo_map.name)
 
-    async def edit(self, topo_map: TopoMap) -> None:
-        """Save first: an edit that is not on disk has not happened."""
-        await self.off_loop(self.store.save, topo_map)
-        self.perception.edited(topo_map)
+    async def edit(self, change: Callable[[TopoMap], TopoMap]) -> None:
+        """Change places or docks of the active map. Save first: an edit that is not on disk has not happened."""
+        async with self.editing:
+            topo_map = change(self.active_map())
+            await asyncio.to_thread(self._save_edited, topo_map)
+            if self.is_active(topo_map.name):
+                self.perception.edited(topo_map)
+
+    def _save_edited(self, topo_map: TopoMap) -> None:
+        """Unless the file has other nodes by now: it was trained while a job ran, and is not in use yet."""
+        with suppress(MapStoreError):
+            if not np.array_equal(self.store.load(topo_map.name).poses, topo_map.poses):
+                message = (
+                    f"map {topo_map.name!r} was made anew and is not in use yet: say map use {topo_map.name} first"
+                )
+                raise RpcError.named(ErrorName.BUSY, message)
+        self.store.save(topo_map)

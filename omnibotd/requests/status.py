@@ -11,6 +11,7 @@ from omnibotd import __version__
 from omnibotd.control import PERIOD, Feedback
 from omnibotd.core.geometry import Pose2D
 from omnibotd.io.control_server import Session
+from omnibotd.requests.failures import Failures
 from omnibotd.requests.params import Params, pose_values
 from omnibotd.requests.robot import Method, Robot
 from omnibotd.requests.teaching import Teaching
@@ -19,8 +20,8 @@ from omnibotd.requests.teaching import Teaching
 class Status:
     """Reads, never changes."""
 
-    def __init__(self, robot: Robot, teaching: Teaching) -> None:
-        self._robot, self._teaching = robot, teaching
+    def __init__(self, robot: Robot, teaching: Teaching, failures: Failures) -> None:
+        self._robot, self._teaching, self._failures = robot, teaching, failures
         self._started = robot.now()
 
     def methods(self) -> dict[str, Method]:
@@ -48,6 +49,7 @@ class Status:
             "job": self._job_status(now),
             "recording": self._teaching.status(now),
             "training": self._teaching.training,
+            "last_failure": self._failures.last,
             "base": self._base_status(),
             "camera": self._camera_status(now),
             "loop": self._loop_status(),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from omnibotd.config import MappingConfig
 from omnibotd.control import Feedback
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.error_name import ErrorName
@@ -20,11 +21,14 @@ from omnibotd.io.control_server import Session
 from omnibotd.io.map_store import MapStore
 from omnibotd.io.recorder import Recorder
 from omnibotd.io.recording import RecordingError
-from omnibotd.requests.maps import summary
 from omnibotd.requests.params import Params
 from omnibotd.requests.robot import Method, Robot
+from omnibotd.requests.summary import summary
 
-Trainer = Callable[[Path, str, MapStore, CameraModel, Callable[[str, float], None]], Awaitable[TopoMap]]
+# (recording, name, store, lens, progress, preset, fresh, limits)
+Trainer = Callable[
+    [Path, str, MapStore, CameraModel, Callable[[str, float], None], str, bool, MappingConfig], Awaitable[TopoMap]
+]
 COVERAGE_CELL = 0.25  # m; a place seen once per such square is a place the map knows
 LENS_LIMIT = 10.0  # s; a webcam takes 1-3 s to its first picture
 SHORT_DRIVE = 5.0  # m; a shorter teaching drive rarely closes a loop
@@ -123,7 +127,7 @@ class Teaching:
         }
 
     async def _train(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
-        name = params.name("map")
+        name, fresh = params.name("map"), params.flag("fresh")
         params.end()
         if self.training is not None:
             raise RpcError.named(ErrorName.BUSY, f"map {self.training!r} is being trained")
@@ -131,7 +135,7 @@ class Teaching:
             raise RpcError.named(ErrorName.BUSY, f"{name!r} is still being recorded; say record stop first")
         recording = self._robot.store.recording_path(name)
         began = self._robot.now()
-        topo_map = await self._trained(name, recording, await self._lens(), feedback)
+        topo_map = await self._trained(name, recording, await self._lens(), fresh, feedback)
         warnings = _map_warnings(topo_map)
         active = self._robot.perception.topo_map
         if self._robot.control.running is not None:
@@ -151,12 +155,17 @@ class Teaching:
             raise RpcError.named(ErrorName.CAMERA_DOWN, f"the lens is not known before pictures come: {reason}")
         return perception.model
 
-    async def _trained(self, name: str, recording: Path, model: CameraModel, feedback: Feedback) -> TopoMap:
+    async def _trained(
+        self, name: str, recording: Path, model: CameraModel, fresh: bool, feedback: Feedback
+    ) -> TopoMap:
         def progress(stage: str, share: float) -> None:
             feedback({"stage": stage, "progress": share})
 
         self.training = name
-        self._trainer_task = asyncio.ensure_future(self._trainer(recording, name, self._robot.store, model, progress))
+        config, store = self._robot.config, self._robot.store
+        self._trainer_task = asyncio.ensure_future(
+            self._trainer(recording, name, store, model, progress, config.navigation.preset, fresh, config.mapping)
+        )
         try:
             return await self._trainer_task
         except asyncio.CancelledError:

@@ -178,7 +178,7 @@ def test_evaluation_writes_what_the_contract_says(tmp_path, capsys) -> None:
     result = json.loads(out.read_text("utf-8"))
     assert list(result) == ["meta", "runs", "summary"]
     assert [result["meta"][key] for key in ("world", "seed", "teach_s")] == ["tools.sim.ceilings:plain", 5, 30.0]
-    assert result["meta"]["virtual_s"] > 30.0
+    assert result["meta"]["virtual_s"] > sum(run["seconds"] for run in result["runs"])
     first, second = result["runs"]
     assert math.dist(first["final"][:2], second["start"][:2]) < 0.01  # each starts where the last ended
     for run in result["runs"]:
@@ -187,4 +187,4 @@ def test_evaluation_writes_what_the_contract_says(tmp_path, capsys) -> None:
     assert sum(result["summary"]["results"].values()) == result["summary"]["n"] == 2
     told = capsys.readouterr()
     assert "error, median" in told.out
-    assert "2/2" in told.err
+    assert "2 ARRIVED" in told.err

@@ -1,4 +1,4 @@
-"""tools/evaluate goto|dock --world MODULE:FACTORY: runs the whole daemon in virtual time and writes what came of it."""
+"""tools/evaluate EXPERIMENT --world MODULE:FACTORY: runs the whole daemon in virtual time, writes what came of it."""
 
 from __future__ import annotations
 
@@ -8,62 +8,135 @@ import platform
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 
 from omnibotd import __version__
 from omnibotd.control_protocol import RpcError
-from tools.evaluation.experiments import EXPERIMENTS, Plan
-from tools.evaluation.summary import Run, Summary
+from tools.evaluation import carried, experiments
+from tools.evaluation.calibration import Calibration, Estimate
+from tools.evaluation.course import Course, Plan
+from tools.evaluation.experiments import Experiment
+from tools.evaluation.lessons import Lesson, driven, taught_robot
+from tools.evaluation.options import SPEED, parse
+from tools.evaluation.route import route
+from tools.evaluation.summary import Run, Summary, as_table, by_condition, recovery
 from tools.sim import virtual_time
+from tools.sim.conditions import STANDING, Stage
 from tools.sim.teacher import NoWay
-from tools.sim.virtual_robot import virtual_robot
-from tools.sim.world_plugin import World, WorldError, load_world
+from tools.sim.world_plugin import World, WorldError, load_world, relit_world
+
+EXPERIMENTS: dict[str, Experiment] = {
+    "goto": experiments.goto,
+    "kidnap": carried.kidnap,
+    "route": route,
+    "outside": carried.outside,
+    "light": experiments.light,
+    "dock": experiments.dock,
+    "starts": experiments.starts,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status 1 where the experiment could not be made; runs that failed are results, not errors."""
-    options = _parser().parse_args(arguments)
+    options = parse(arguments, EXPERIMENTS)
     cv2.setNumThreads(1)  # frames are small: threads cost more than they save, and would compete with other runs
     began = time.perf_counter()
     try:
-        world = load_world(options.world, options.seed)
-        runs, cost = virtual_time.run(_evaluate(world, options))
+        runs, estimates, meta = _evaluate(options)
     except (WorldError, NoWay, RpcError) as error:
         print(f"evaluate: {error}", file=sys.stderr)
         return 1
-    wall = time.perf_counter() - began
-    summary = Summary.of(runs)
-    meta = _described(options) | cost | _pace(cost, wall)
-    result = {"meta": meta, "runs": [run.as_json() for run in runs], "summary": asdict(summary)}
+    meta = _described(options) | meta | {"wall_s": time.perf_counter() - began}
+    result = {"meta": meta, "runs": [run.as_json() for run in runs], "summary": overview(runs, estimates)}
     options.json.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
+    if options.plot:
+        from tools.evaluation.plots import draw_runs  # noqa: PLC0415 - matplotlib takes a second to load
+
+        draw_runs(result, options.plot)
     print(f"{options.experiment} in {options.world}, seed {options.seed}, preset {options.preset}")
-    print(summary.table())
-    print(f"{meta['frames_per_s']:.0f} frames/s, {meta['real_time_factor']:.1f} times real time", file=sys.stderr)
+    print(Summary.of(runs).table())
+    print(as_table(_more(result["summary"])))
     return 0
 
 
-async def _evaluate(world: World, options: argparse.Namespace) -> tuple[list[Run], dict[str, float]]:
-    """The runs, and how many frames and virtual seconds they took, teaching included."""
-    plan = Plan(options.runs, options.seed, options.teach)
-    async with virtual_robot(world, options.seed) as robot:
-        runs = await EXPERIMENTS[options.experiment](robot, plan, _report)
-        return runs, {"frames": robot.frames, "virtual_s": robot.seconds}
+def overview(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[str, object]:
+    """The contract's summary, and beside it what the experiment gives more: by condition, recovery, calibration."""
+    summary: dict[str, object] = asdict(Summary.of(runs))
+    if len({run.condition for run in runs}) > 1:
+        summary["by_condition"] = by_condition(runs)
+    if any(run.carried for run in runs):
+        summary["recovery"] = recovery(runs)
+    return summary | {"calibration": asdict(Calibration.of(estimates))}
+
+
+def _evaluate(options: argparse.Namespace) -> tuple[list[Run], list[Estimate], dict[str, object]]:
+    """Runs, the place estimates made meanwhile, and what there is to say of the teaching and the cost."""
+    standing = tuple(name for name in STANDING if name in options.condition)
+    world = _world(options, load_world(options.world, options.seed))
+    stage = Stage(world, partial(_relit, options), options.seed, standing)
+    how = {"preset": options.preset, "seconds": options.teach, "speed": SPEED[options.preset], "standing": standing}
+    lesson = experiments.lesson(options.experiment, stage, options.world, options.seed, **how)
+    with ExitStack() as exits:
+        keep = options.keep or Path(exits.enter_context(TemporaryDirectory(prefix="omnibot-")))
+        folder, reused = driven(lesson, stage, keep)
+        return virtual_time.run(_experiment(options, lesson, stage, folder, reused))
+
+
+async def _experiment(
+    options: argparse.Namespace, lesson: Lesson, stage: Stage, folder: Path, reused: tuple[str, ...]
+) -> tuple[list[Run], list[Estimate], dict[str, object]]:
+    passing = tuple(name for name in options.condition if name not in STANDING)
+    plan = Plan(options.runs, options.seed, tuple(options.condition))
+    async with taught_robot(lesson, stage, folder, reused) as taught:
+        nodes, kept = len(taught.topo_map), ", ".join(taught.reused)
+        _report(f"taught {nodes} nodes in {lesson.seconds:.0f} s" + (f" (kept: {kept})" if kept else ""))
+        course = Course(taught, stage, lesson.area, plan, _report)
+        course.enter(*passing)
+        began = time.perf_counter()
+        runs = await EXPERIMENTS[options.experiment](course)
+        wall = time.perf_counter() - began
+        frames, seconds = taught.robot.frames, taught.robot.seconds
+        cost = {"frames": frames, "virtual_s": seconds}
+        pace = {"frames_per_s": frames / wall, "real_time_factor": seconds / wall}
+        taught_as = {"nodes": nodes, "reused": list(taught.reused), "bounds": list(stage.bounds)}
+        return runs, course.estimates, {**taught_as, **cost, **pace}
+
+
+def _world(options: argparse.Namespace, world: World) -> World:
+    """For the thesis' method with the two tiles that it takes its heading from."""
+    if options.preset != "thesis":
+        return world
+    from tools.sim.compass_tiles import with_compass_tiles  # noqa: PLC0415
+
+    return with_compass_tiles(world)
+
+
+def _relit(options: argparse.Namespace, light: str) -> World | None:
+    world = relit_world(options.world, options.seed, light)
+    return None if world is None else _world(options, world)
 
 
 def _report(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-def _pace(cost: dict[str, float], wall: float) -> dict[str, float]:
-    return {
-        "wall_s": wall,
-        "frames_per_s": cost["frames"] / wall,
-        "real_time_factor": cost["virtual_s"] / wall,
-    }
+def _more(summary: dict[str, object]) -> dict[str, str]:
+    """Rows for what the summary has beyond the contract."""
+    calibration, again = summary["calibration"], summary.get("recovery")
+    rows = {"expected calibration error": f"{calibration['error']:.3f}"}
+    if again:
+        rows["found itself again"] = f"{again['recovered']} of {again['n']}"
+        rows["found itself after, median"] = "never" if again["median_s"] is None else f"{again['median_s']:.1f} s"
+    for name, part in summary.get("by_condition", {}).items():
+        rows[f"{name}: median, within 0.15 m"] = f"{100 * part['median_m']:.1f} cm, {part['within']['0.15']:.1%}"
+    return rows
 
 
 def _described(options: argparse.Namespace) -> dict[str, object]:
@@ -73,47 +146,12 @@ def _described(options: argparse.Namespace) -> dict[str, object]:
         "seed": options.seed,
         "teach_s": options.teach,
         "preset": options.preset,
+        "conditions": list(options.condition),
         "omnibotd": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="evaluate", description=__doc__)
-    parser.add_argument("experiment", choices=EXPERIMENTS)
-    parser.add_argument("--world", required=True, metavar="MODULE:FACTORY", help="found on PYTHONPATH")
-    parser.add_argument("--runs", type=_count, default=100, metavar="N")
-    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the world, the robot and the goals")
-    parser.add_argument("--teach", type=_seconds, default=300.0, metavar="SECONDS", help="length of the teaching drive")
-    parser.add_argument("--preset", choices=("default",), default="default")
-    parser.add_argument("--json", type=_writable, required=True, metavar="OUT", help="file for the results")
-    return parser
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 up")
-    return int(text)
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 10.0 <= seconds <= 3600.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds from 10 to 3600")
-    return seconds
-
-
-def _writable(text: str) -> Path:
-    """Found out before the runs rather than after them."""
-    path = Path(text)
-    if not path.parent.is_dir():
-        raise argparse.ArgumentTypeError(f"{path.parent} is no folder")
-    return path
 
 
 if __name__ == "__main__":

@@ -1,0 +1,47 @@
+"""Many results as one table in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+HEADINGS = (
+    *("experiment", "world", "seed", "condition", "preset", "taught", "n", "median", "worst"),
+    *("< 0.10 m", "< 0.15 m", "< 0.50 m", "heading", "LOST", "other failures", "wrong place", "calibration", "found"),
+)
+
+
+def markdown(results: Sequence[Mapping[str, Any]]) -> str:
+    """A row for each result, and below a result under several lights a row for each."""
+    rows = [row for result in results for row in _rows(result)]
+    rule = ["---"] * len(HEADINGS)
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in [HEADINGS, rule, *rows])
+
+
+def _rows(result: Mapping[str, Any]) -> list[list[str]]:
+    meta, summary = result["meta"], result["summary"]
+    what = [meta["experiment"], meta["world"], str(meta["seed"])]
+    how = [meta["preset"], f"{meta['teach_s']:.0f} s"]
+    error = f"{summary['calibration']['error']:.3f}"
+    parts = summary.get("by_condition", {})
+    condition = "all" if parts else ",".join(meta["conditions"]) or "nominal"
+    together = [*what, condition, *how, *_figures(summary), error, _found(summary)]
+    return [together, *([*what, name, *how, *_figures(part), "", ""] for name, part in parts.items())]
+
+
+def _figures(summary: Mapping[str, Any]) -> list[str]:
+    within, results = summary["within"], summary["results"]
+    done = sum(results.get(name, 0) for name in ("ARRIVED", "DOCKED", "LOST"))
+    shares = [f"{100 * within[limit]:.1f} %" for limit in ("0.10", "0.15", "0.50")]
+    lengths = [f"{100 * summary[name]:.3g} cm" for name in ("median_m", "max_m")]
+    counts = [str(summary["lost"]), str(summary["n"] - done), str(summary["false_arrivals"])]
+    return [str(summary["n"]), *lengths, *shares, f"{summary['median_deg']:.2f}°", *counts]
+
+
+def _found(summary: Mapping[str, Any]) -> str:
+    """Of the carried robots: how many found themselves again, and how fast."""
+    again = summary.get("recovery")
+    if again is None:
+        return ""
+    when = "" if again["median_s"] is None else f", {again['median_s']:.1f} s"
+    return f"{again['recovered']}/{again['n']}{when}"
