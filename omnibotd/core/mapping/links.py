@@ -36,6 +36,8 @@ _TURN_SIGMA, _TURN_SIGMA_LOSS, _PLACE_SIGMA, _PLACE_SIGMA_LOSS = 0.01, 0.12, 0.0
 # How far a turn by odometry is expected to be off a metre driven (rad), and a radian turned: wheels 2 % unequal, and a
 # wheel separation known to 5 %.
 _WHEELS = np.array([0.1, 0.05])
+# Less than that is the compass' own bias: translation leans on it, by 0.01 of either on real frames.
+_COMPASS_BIAS = 0.02
 # Nodes between relaxations: some five metres of driving.
 _BATCH = 60
 
@@ -164,7 +166,7 @@ class PathLinker:
         values = np.concatenate([np.zeros(2), np.arctan2(np.sin(misfit), np.cos(misfit))])
         sigma = np.concatenate([_WHEELS, turns.sigma])
         off = relaxed(csr_matrix(rows), values[:, None], sigma, trusted=2)[:, 0]
-        self.steps[:, 2] += self.steps[:, [0, 2]] @ off
+        self.steps[:, 2] += self.steps[:, [0, 2]] @ np.where(np.abs(off) > _COMPASS_BIAS, off, 0.0)
 
     def _revisit(self, node: int, old: int, least: float) -> None:
         """Link to those of the first `old` nodes that are near and correlate by more than `least`."""

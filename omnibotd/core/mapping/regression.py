@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from omnibotd.core.geometry import Pose2D
-from omnibotd.core.vision.descriptor import RING_WEIGHTS, turn_derivative, turned
-from omnibotd.core.vision.view import View
+from omnibotd.core.vision.descriptor import RING_WEIGHTS, turned_with_slope
+from omnibotd.core.vision.view import SECTORS, View
 
 Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
 
 NEIGHBOURS = 20
 RADIUS = 0.6
@@ -32,6 +34,9 @@ _INDEPENDENT_SHARE = 0.03
 _UNEXPLAINED = 0.12
 # Prior standard deviation of the heading (rad): that of a turn found by correlation.
 _YAW_SIGMA = 0.03
+_CELL_WEIGHTS = np.repeat(RING_WEIGHTS.ravel(), SECTORS)
+# What is predicted where all nodes see the same constant: it, and no slopes.
+_OF_A_CONSTANT = np.array([1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,35 +67,33 @@ def refine(
 
     Directions of which the nodes know nothing stay as the prior has them.
     """
-    weighted = (aligned * RING_WEIGHTS).reshape(len(aligned), -1)
+    views = aligned.reshape(len(aligned), -1)
     prior_information = np.diag([sigma**-2, sigma**-2, _YAW_SIGMA**-2])
     deviation = np.zeros(3)  # from the prior
     for _ in range(rounds):
         pose = np.array([prior.x, prior.y, prior.yaw]) + deviation
-        jacobian, query, expected, unexplained = _linearised(view, pose, positions, weighted)
+        jacobian, query, expected, unexplained = _linearised(view, pose, positions, views)
         share = evidence * _INDEPENDENT_SHARE / (1.0 + (unexplained / _UNEXPLAINED) ** 2)
         step, covariance = _most_likely(jacobian, query - expected, share, prior_information, deviation)
         step[:2] *= min(1.0, _LONGEST_STEP / max(float(np.hypot(step[0], step[1])), 1e-9))
         deviation += step
         if np.abs(step[:2]).max() < 0.01:
             break
-    spread = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     result = Pose2D(prior.x + float(deviation[0]), prior.y + float(deviation[1]), prior.yaw + float(deviation[2]))
-    return Regressed(result, spread, _correlation(query, expected + jacobian @ step.astype(np.float32)), unexplained)
+    score = _correlation(query, expected + step.astype(np.float32) @ jacobian)
+    return Regressed(result, _spread(covariance), score, unexplained)
 
 
-def _linearised(
-    view: View, pose: NDArray[np.float64], positions: Floats, weighted: Floats
-) -> tuple[Floats, Floats, Floats, float]:
-    """Jacobian (cells, 3) of the expected minus the turned view; the turned view (cells,); the expected one, and the
+def _linearised(view: View, pose: Doubles, positions: Floats, views: Floats) -> tuple[Floats, Floats, Floats, float]:
+    """Jacobian (3, cells) of the expected minus the turned view; the turned view (cells,); the expected one, and the
     share of its variance that the nodes leave unexplained."""
-    model, unexplained = _predicted(positions - pose[:2].astype(np.float32), weighted)
-    query = turned(view, pose[2]) * RING_WEIGHTS
-    slope = turn_derivative(query).ravel()
-    return np.stack([model[1], model[2], -slope], 1), query.ravel(), model[0], unexplained
+    model, unexplained = _predicted(positions - pose[:2].astype(np.float32), views)
+    query, slope = (part.ravel() * _CELL_WEIGHTS for part in turned_with_slope(view, float(pose[2])))
+    expected, along_x, along_y = model * _CELL_WEIGHTS
+    return np.stack([along_x, along_y, -slope]), query, expected, unexplained
 
 
-def _predicted(offsets: Floats, weighted: Floats) -> tuple[Floats, float]:
+def _predicted(offsets: Floats, views: Floats) -> tuple[Floats, float]:
     """(3, cells): the view expected at offset zero, and its slopes along x and y (universal kriging, constant mean);
     and the kriging variance, of 1."""
     rate = math.sqrt(3.0) / _LENGTH
@@ -98,33 +101,35 @@ def _predicted(offsets: Floats, weighted: Floats) -> tuple[Floats, float]:
     covariance = (1.0 + rate * apart) * np.exp(-rate * apart) + _NOISE * np.eye(len(offsets))
     away = np.hypot(offsets[:, 0], offsets[:, 1])
     decay = np.exp(-rate * away)
-    here = np.column_stack([(1.0 + rate * away) * decay, (rate * rate * decay)[:, None] * offsets])
-    inverse = np.linalg.inv(covariance)
-    influence = inverse @ here
-    unexplained = 1.0 - float(here[:, 0] @ influence[:, 0])
-    mean = inverse.sum(1) / inverse.sum()
-    influence += np.outer(mean, np.array([1.0, 0.0, 0.0]) - influence.sum(0))
-    return np.asarray(influence.T.astype(np.float32) @ weighted), unexplained
+    here, slopes = (1.0 + rate * away) * decay, (rate * rate * decay)[:, None] * offsets
+    _, solved = cv2.solve(covariance, np.column_stack([here, slopes, np.ones(len(here))]), flags=cv2.DECOMP_CHOLESKY)
+    influence, mean = solved[:, :3], solved[:, 3:] / solved[:, 3].sum()
+    unexplained = 1.0 - float(here @ influence[:, 0])
+    influence = influence + mean * (_OF_A_CONSTANT - influence.sum(0))
+    return np.asarray(influence.T.astype(np.float32) @ views), unexplained
 
 
 def _most_likely(
-    jacobian: Floats,
-    residual: Floats,
-    share: float,
-    information: NDArray[np.float64],
-    deviation: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    jacobian: Floats, residual: Floats, share: float, information: Doubles, deviation: Doubles
+) -> tuple[Doubles, Doubles]:
     """Step (3,) and covariance (3, 3); Cauchy weights: lamps that went out and people in view shall not pull."""
     errors = np.abs(residual)
-    seen = residual != 0.0  # outside the image both are exactly zero
+    # Outside the image both views are exactly zero: the median is that of the errors above these.
+    middle = min(len(errors) - (int(np.count_nonzero(residual)) + 1) // 2, len(errors) - 1)
     for _ in range(3):
-        scale = 1.48 * float(np.median(errors[seen])) + 1e-3
+        scale = 1.48 * float(np.partition(errors, middle)[middle]) + 1e-3
         weights = 1.0 / (1.0 + (errors / (2.0 * scale)) ** 2)
-        normal = jacobian.T * (weights * (share / scale**2))
-        covariance = np.asarray(np.linalg.inv((normal @ jacobian).astype(np.float64) + information), np.float64)
+        normal = jacobian * (weights * (share / scale**2))
+        _, covariance = cv2.invert((normal @ jacobian.T).astype(np.float64) + information, flags=cv2.DECOMP_CHOLESKY)
         step = covariance @ (normal @ residual - information @ deviation)
-        errors = np.abs(residual - jacobian @ step.astype(np.float32))
-    return step, covariance
+        errors = np.abs(residual - step.astype(np.float32) @ jacobian)
+    return step, np.asarray(covariance, np.float64)
+
+
+def _spread(covariance: Doubles) -> float:
+    """Standard deviation in the worst direction: root of the larger eigenvalue over the first two axes."""
+    (xx, xy), (_, yy) = covariance[:2, :2].tolist()
+    return math.sqrt((xx + yy) / 2.0 + math.hypot((xx - yy) / 2.0, xy))
 
 
 def _correlation(a: Floats, b: Floats) -> float:

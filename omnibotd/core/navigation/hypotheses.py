@@ -46,7 +46,7 @@ class Hypotheses:
 
     def supported(self, poses: Floats, scores: Floats) -> Floats:
         """(H,) best score of the candidates (C, 3), (C,) near each hypothesis; -1 where there is none."""
-        return np.asarray(np.where(self._near(poses), scores, -1.0).max(1, initial=-1.0))
+        return np.asarray(np.where(_near(self.poses, poses), scores, -1.0).max(1, initial=-1.0))
 
     def weigh(self, poses: Floats, scores: Floats, allowance: Floats, evidence: float) -> None:
         """Reweigh by candidates; `evidence` in (0, 1] says how independent this frame is of the last one.
@@ -73,12 +73,18 @@ class Hypotheses:
         """Add candidates (C, 3), (C,) good to `sigmas` (C,) metres that no hypothesis stands near, best first."""
         prior = _KIDNAPPED if len(self) else 0.0
         top = float(scores.max(initial=-1.0))
-        for pose, score, sigma in zip(poses, scores, sigmas, strict=True):
-            if not self._near(pose[None]).any():
-                self.poses = np.vstack([self.poses, pose])
-                self.log_weights = np.append(self.log_weights, prior + (score - top) / _TEMPERATURE)
-                self.sigmas = np.append(self.sigmas, sigma)
-        self._tidy()
+        apart = np.flatnonzero(~_near(self.poses, poses).any(0))
+        among = _near(poses[apart], poses[apart])
+        new: list[int] = []
+        for k in range(len(apart)):
+            if not among[new, k].any():
+                new.append(k)
+        if new:
+            chosen = apart[new]
+            self.poses = np.vstack([self.poses, poses[chosen]])
+            self.log_weights = np.append(self.log_weights, prior + (scores[chosen] - top) / _TEMPERATURE)
+            self.sigmas = np.append(self.sigmas, sigmas[chosen])
+            self._tidy()
 
     def place(self, index: int, pose: Pose2D, sigma: float) -> None:
         """Put one hypothesis where a measurement that took it as its prior says."""
@@ -94,24 +100,25 @@ class Hypotheses:
         """Posterior weight of the likeliest pose."""
         return float(np.exp(self.log_weights[0])) if len(self) else 0.0
 
-    def _near(self, poses: Floats) -> NDArray[np.bool_]:
-        difference = self.poses[:, None] - poses[None]
-        near = np.hypot(difference[..., 0], difference[..., 1]) < _NEAR
-        return np.asarray(near & (np.abs(_wrapped(difference[..., 2])) < _NEAR_TURN))
-
     def _tidy(self) -> None:
         """Sort, merge the ones that have run together, forget the hopeless, normalise."""
+        if len(self) == 1:  # under most ceilings
+            self.log_weights = np.zeros(1)
+            return
         order = np.argsort(-self.log_weights, kind="stable")[:_MOST]
         self.poses, self.log_weights, self.sigmas = self.poses[order], self.log_weights[order], self.sigmas[order]
-        difference = self.poses[:, None] - self.poses[None]
-        same = (np.hypot(difference[..., 0], difference[..., 1]) < _NEAR / 2) & (
-            np.abs(_wrapped(difference[..., 2])) < _NEAR_TURN / 2
-        )
-        duplicate = np.tril(same, -1).any(1)
+        duplicate = np.tril(_near(self.poses, self.poses, 0.5), -1).any(1)
         keep = ~duplicate & (self.log_weights > self.log_weights.max(initial=-np.inf) - 12.0)
         weights = np.exp(self.log_weights - self.log_weights.max(initial=-np.inf))
         self.poses, self.sigmas, weights = self.poses[keep], self.sigmas[keep], weights[keep]
         self.log_weights = np.log(weights / weights.sum())
+
+
+def _near(some: Floats, others: Floats, share: float = 1.0) -> NDArray[np.bool_]:
+    """(S, O): which of `some` poses (S, 3) speak for which of the `others` (O, 3), or stand within a share of that."""
+    difference = some[:, None] - others
+    close = np.hypot(difference[..., 0], difference[..., 1]) < share * _NEAR
+    return np.asarray(close & (np.abs(_wrapped(difference[..., 2])) < share * _NEAR_TURN))
 
 
 def _wrapped(angle: Floats) -> Floats:

@@ -32,7 +32,7 @@ _COVERED, _UNCOVERED = 0.2, 0.7
 _SHAKEN = 0.25
 # Belief to confidence, fitted on 48,000 frames in seven simulated rooms in four lights, carried every 20 s: log odds
 # added where look-alikes stay below the first level and no longer from the second on, and a factor.
-_CAUTION, _REPETITIVE, _SPREAD = 2.0, (0.65, 0.85), 0.9
+_CAUTION, _REPETITIVE, _SPREAD = 1.5, (0.55, 0.8), 0.9
 # Correlation expected at a pose, from the variance that its nodes leave unexplained: that much, and noise, and what the
 # coding of snapshots costs.
 _NOISE, _EXPLAINED, _CODED = 0.08, 1.2, 0.93

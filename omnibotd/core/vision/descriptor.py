@@ -20,6 +20,7 @@ Harmonics = NDArray[np.complex64]
 # Outer rings cover more sky: weight about their area, but never let the rim rule alone.
 RING_WEIGHTS = np.sqrt(np.linspace(0.5, 1.5, RINGS)).astype(np.float32)[:, None]
 _ORDERS = np.arange(SECTORS // 2 + 1)
+_SLOPES = (-1j * _ORDERS).astype(np.complex64)  # of e^(-1j * order * yaw), relative
 # Each harmonic of a real signal stands for two, but for the constant one and the highest.
 _MULTIPLICITY = np.where((_ORDERS == 0) | (_ORDERS == SECTORS // 2), 1.0, 2.0).astype(np.float32)
 
@@ -85,6 +86,8 @@ def turned(views: View, yaw: NDArray[np.floating]) -> View:
     return np.asarray(np.fft.irfft(np.fft.rfft(views, axis=-1) * phase, n=SECTORS, axis=-1), np.float32)
 
 
-def turn_derivative(views: View) -> View:
-    """How views (..., RINGS, SECTORS) change per radian when the heading they are turned by grows."""
-    return np.asarray(np.fft.irfft(np.fft.rfft(views, axis=-1) * (-1j * _ORDERS), n=SECTORS, axis=-1), np.float32)
+def turned_with_slope(view: View, yaw: float) -> tuple[View, View]:
+    """One view (RINGS, SECTORS) turned by `yaw`, and how that changes per radian."""
+    spectrum = np.fft.rfft(view, axis=-1) * np.exp(-1j * yaw * _ORDERS)
+    both = np.fft.irfft(np.stack([spectrum, spectrum * _SLOPES]), n=SECTORS, axis=-1).astype(np.float32)
+    return both[0], both[1]

@@ -15,8 +15,8 @@ from omnibotd.core.vision.descriptor import (
     Descriptor,
     correlate,
     harmonics,
-    turn_derivative,
     turned,
+    turned_with_slope,
 )
 from omnibotd.core.vision.view import RINGS, SECTORS
 
@@ -82,7 +82,10 @@ def test_turned_moves_bearings_into_map_axes() -> None:
     assert int(in_map[0].argmax()) == 8 + SECTORS // 4
 
 
-def test_turn_derivative_is_the_slope_of_turned() -> None:
+@pytest.mark.parametrize("yaw", [0.0, 0.3, -2.0])
+def test_turned_with_slope(yaw: float) -> None:
     view, step = smooth_view(5), 1e-2
-    slope = (turned(view, np.asarray(step)) - turned(view, np.asarray(-step))) / (2 * step)
-    np.testing.assert_allclose(turn_derivative(view), slope, atol=0.05)
+    same, slope = turned_with_slope(view, yaw)
+    np.testing.assert_allclose(same, turned(view, np.asarray(yaw)), atol=1e-5)
+    difference = (turned(view, np.asarray(yaw + step)) - turned(view, np.asarray(yaw - step))) / (2 * step)
+    np.testing.assert_allclose(slope, difference, atol=0.05)
