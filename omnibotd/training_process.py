@@ -57,8 +57,8 @@ def train_and_save(
         made = _taught(growing, [recording], name, model, progress, preset)
     if preset == GROWING:
         made = _within(made, limits)
-    if old is not None:
-        made = _succeed(store, old, made)
+    if old is not None:  # read again: places may have been named while this took its time
+        made = _succeed(store, _loaded(store, name) or old, made)
     store.save(made)
     return made
 

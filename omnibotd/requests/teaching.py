@@ -18,7 +18,7 @@ from omnibotd.core.errors import CoreError
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.io.control_server import Session
-from omnibotd.io.map_store import MapStore
+from omnibotd.io.map_store import MapStore, MapStoreError
 from omnibotd.io.recorder import Recorder
 from omnibotd.io.recording import RecordingError
 from omnibotd.requests.params import Params
@@ -32,6 +32,7 @@ Trainer = Callable[
 COVERAGE_CELL = 0.25  # m; a place seen once per such square is a place the map knows
 LENS_LIMIT = 10.0  # s; a webcam takes 1-3 s to its first picture
 SHORT_DRIVE = 5.0  # m; a shorter teaching drive rarely closes a loop
+FAINT = 0.2  # contrast; sensor noise alone makes 0.1, the faintest of a dozen ceilings and lights tried 0.38
 
 
 @dataclass
@@ -70,7 +71,7 @@ class Teaching:
             raise RpcError.named(ErrorName.CAMERA_DOWN, f"no pictures to record: {self._robot.camera.reason}")
         if not self._robot.base.connected:
             raise RpcError.named(ErrorName.BASE_LINK_DOWN, f"no odometry to record: {self._robot.base.reason}")
-        path = self._robot.store.new_recording_path(name)
+        path = await asyncio.to_thread(_new_recording_path, self._robot.store, name)
         try:
             recorder = await self._robot.off_loop(self._open_recorder, path)
         except OSError as error:
@@ -183,6 +184,19 @@ class Teaching:
             self._trainer_task.cancel()
 
 
+def _new_recording_path(store: MapStore, name: str) -> Path:
+    """The next on disk that the map was not made from: it may come from another computer, or its recordings be gone."""
+    path = store.new_recording_path(name)
+    known: tuple[str, ...] = ()
+    with suppress(MapStoreError):  # no such map yet, or a damaged one
+        known = store.load(name).recordings
+    number = int(path.name.split(".")[1])
+    while path.name in known:
+        number += 1
+        path = path.with_name(f"{name}.{number:04}.mcap")
+    return path
+
+
 def _recording_warnings(status: dict[str, Any]) -> list[str]:
     warnings = []
     if status["distance_m"] < SHORT_DRIVE:
@@ -199,6 +213,6 @@ def _map_warnings(topo_map: TopoMap) -> list[str]:
     if topo_map.statistics.get("ambiguity", 0.0) > 0.1:
         share = topo_map.statistics["ambiguity"]
         warnings.append(f"repetitive ceiling: {share:.0%} of the places look like another one more than 0.5 m away")
-    if topo_map.statistics.get("contrast", math.inf) < 2.0:
+    if topo_map.statistics.get("contrast", math.inf) < FAINT:
         warnings.append("plain ceiling: little to see; expect less accuracy")
     return warnings

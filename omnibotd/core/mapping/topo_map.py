@@ -49,7 +49,7 @@ class TopoMap:
     """N nodes, U SOM units of F features. Arrays are never written to after construction.
 
     codebook (U, F) float32, on a square torus of sqrt(U) x sqrt(U); `units` (N,) best matching unit of each node;
-    `snapshots` (N, rings * sectors / 2) uint8, two 4-bit cells a byte; `poses` (N, 3) float32 map_from_base;
+    `snapshots` (N, C) uint8, what each node saw, as the method codes it; `poses` (N, 3) float32 map_from_base;
     `sessions` (N,) number of the teaching drive. `ceiling_height` is metres from camera to ceiling as measured while
     teaching (NaN where unknown). `camera` tells the calibration the map was taught with;
     `recordings` are the files it was taught from, one a session; `method` is the preset that made it and can use it:

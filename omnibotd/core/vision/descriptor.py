@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from omnibotd.core.vision.camera_model import CameraModel
@@ -63,7 +64,29 @@ def correlate(query: Harmonics, stored: Harmonics) -> tuple[Floats, Floats]:
 
     `turn` is the heading of the query minus that of the stored view, at the correlation's peak (a parabola's).
     """
-    curve = np.fft.irfft(np.einsum("mrk,rk->mk", stored, query.conj()), n=SECTORS, axis=-1) * SECTORS
+    curve = np.fft.irfft(np.einsum("mrk,rk->mk", stored, query.conj()), n=SECTORS, axis=-1)
+    return _peaks(np.asarray(curve * SECTORS, np.float32))
+
+
+def correlate_views(query: Harmonics, stored: View, norms: Floats) -> tuple[Floats, Floats]:
+    """What `correlate` gives, from M views (M, RINGS, SECTORS) as they are and their `weighted_norms` (M,).
+
+    One matrix product with all turns of the query takes a third of the time of M transforms.
+    """
+    weighted = np.fft.irfft(query, n=SECTORS, axis=-1).astype(np.float32) * (RING_WEIGHTS * math.sqrt(SECTORS))
+    windows = sliding_window_view(np.tile(weighted, 2), SECTORS, axis=1)  # (RINGS, start, SECTORS)
+    turns = windows[:, SECTORS:0:-1].swapaxes(0, 1).reshape(SECTORS, -1)
+    return _peaks(stored.reshape(len(stored), -1) @ turns.T / norms[:, None])
+
+
+def weighted_norms(views: View) -> Floats:
+    """(M,) norms of views (M, RINGS, SECTORS), ring-weighted and zero-mean."""
+    weighted = (views * RING_WEIGHTS).reshape(len(views), -1)
+    return np.asarray(np.maximum(weighted.std(1) * math.sqrt(weighted.shape[1]), 1e-9), np.float32)
+
+
+def _peaks(curve: Floats) -> tuple[Floats, Floats]:
+    """Turn (M,) rad and height (M,) at the peaks of correlations (M, SECTORS) by turn."""
     rows = np.arange(len(curve))
     peak = curve.argmax(-1)
     centre, before, after = curve[rows, peak], curve[rows, peak - 1], curve[rows, (peak + 1) % SECTORS]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from omnibotd.core.errors import MapError
+from omnibotd.core.mapping import som as training
 from omnibotd.core.mapping.som import Som, torus_distances
 
 COLOURS = np.random.default_rng(7).uniform(0.0, 1.0, (1000, 3)).astype(np.float32)
@@ -67,6 +68,23 @@ def test_same_seed_same_bits() -> None:
     again = [Som.train(COLOURS[:200], side=6, seed=4).codebook for _ in range(2)]
     assert again[0].tobytes() == again[1].tobytes()
     assert Som.train(COLOURS[:200], side=6, seed=5).codebook.tobytes() != again[0].tobytes()
+
+
+def test_the_best_of_several_attempts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = [Som.train(COLOURS, side=8, seed=seed).topographic_error(COLOURS) for seed in range(3)]
+    monkeypatch.setattr(training, "_ATTEMPTS", 1)
+    first = [Som.train(COLOURS, side=8, seed=seed).topographic_error(COLOURS) for seed in range(3)]
+    assert all(k <= f for k, f in zip(kept, first, strict=True))
+    assert sum(kept) < sum(first)
+
+
+def test_blocks_change_nothing(colours: Som, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = colours.distances(COLOURS), colours.topographic_error(COLOURS), colours.quantization_error(COLOURS)
+    monkeypatch.setattr(training, "_BLOCK", 77)  # of 1000 samples: the last block is not full
+    np.testing.assert_allclose(colours.distances(COLOURS), whole[0], atol=2e-3)  # root of what rounding leaves at zero
+    assert colours.topographic_error(COLOURS) == pytest.approx(whole[1], abs=2e-3)
+    assert colours.quantization_error(COLOURS) == pytest.approx(whole[2], rel=1e-3)
+    np.testing.assert_array_equal(colours.bmu(COLOURS), colours.distances(COLOURS).argmin(1))
 
 
 def test_fewer_samples_than_units() -> None:

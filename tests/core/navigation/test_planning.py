@@ -122,6 +122,8 @@ def test_nodes_near_by_are_those_that_a_scan_of_all_finds(seed: int) -> None:
         away = np.hypot(*(points - (x, y)).T)
         for radius in (0.1, 0.3, 0.9):
             assert sorted(grid.near(x, y, radius)) == np.flatnonzero(away <= radius).tolist()
+            nodes, squares = grid.within(x, y, radius)
+            np.testing.assert_allclose(np.sqrt(squares), away[nodes])
         assert grid.nearest(x, y) == int(away.argmin())
     assert grid.nearest(100.0, 100.0) == int(np.hypot(*(points - 100.0).T).argmin())
 

@@ -14,9 +14,11 @@ from omnibotd.core.vision.descriptor import (
     RING_WEIGHTS,
     Descriptor,
     correlate,
+    correlate_views,
     harmonics,
     turned,
     turned_with_slope,
+    weighted_norms,
 )
 from omnibotd.core.vision.view import RINGS, SECTORS
 
@@ -67,6 +69,18 @@ def test_correlation_of_whole_sectors_is_the_normalised_product() -> None:
     assert abs(math.remainder(float(turn[0]) - best * math.tau / SECTORS, math.tau)) <= math.pi / SECTORS
     assert score[0] == pytest.approx(expected, rel=0.3)
     assert score[0] >= expected - 1e-4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_product_with_all_turns_correlates_as_transforms_do(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    query, views = rng.standard_normal((RINGS, SECTORS)), rng.standard_normal((7, RINGS, SECTORS)) + 0.3
+    views[0] = np.roll(query, 5, 1) + 0.1 * views[0]
+    views = views.astype(np.float32)
+    query_harmonics = harmonics(query.astype(np.float32))
+    expected = correlate(query_harmonics, harmonics(views))
+    found = correlate_views(query_harmonics, views, weighted_norms(views))
+    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 def test_featureless_views_correlate_with_nothing() -> None:
