@@ -214,7 +214,7 @@ def test_a_session_that_would_spoil_the_map_is_refused(tmp_path: Path) -> None:
     async def learn() -> None:
         async with awake(room, ceilings.beams(21, "night")) as robot:
             await record(robot, teacher_of(robot, 3), "room", TEACH)
-            with pytest.raises(RpcError, match="its way differs by .* from what odometry says") as refused:
+            with pytest.raises(RpcError, match=r"its way differs by .* from what odometry says") as refused:
                 await robot.call("train", map="room")
             assert refused.value.name == "TRAINING_FAILED"
 

@@ -31,8 +31,8 @@ from omnibotd.core.vision.view import View
 
 Progress = Callable[[str, float], None]
 
-# Nodes, about a metre of driving, over which a placed drive must keep the shape that odometry gives it, and the share of
-# distance by which it may not: 0.016 to 0.025 where nodes were placed to 3 to 6 cm, 0.046 to 0.051 where to 10 cm.
+# Nodes, about a metre of driving, over which a placed drive must keep the shape that odometry gives it, and the share
+# of distance by which it may not: 0.016 to 0.025 where nodes were placed to 3 to 6 cm, 0.046 to 0.051 where to 10 cm.
 _SPAN, _BENT = 12, 0.04
 
 

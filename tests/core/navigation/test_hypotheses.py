@@ -31,7 +31,7 @@ def test_one_hypothesis_a_place_and_heading_best_first() -> None:
 def test_a_place_already_held_is_not_proposed_again() -> None:
     hypotheses = proposed()
     before = hypotheses.log_weights.copy()
-    hypotheses.propose(POSES + [0.1, 0.1, -0.05], SCORES, SIGMAS)
+    hypotheses.propose(POSES + np.array([0.1, 0.1, -0.05]), SCORES, SIGMAS)
     np.testing.assert_array_equal(hypotheses.log_weights, before)
 
 
