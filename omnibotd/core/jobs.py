@@ -73,14 +73,9 @@ class DockingTrip:
 
 
 class Relocalisation:
-    """Finds out where the robot is, moving as little as that takes; LOST where it can't.
+    """Finds out where the robot is, moving as little as that takes; LOST where it can't."""
 
-    Takes what a navigator takes; a search needs neither the radius nor the period.
-    """
-
-    def __init__(
-        self, topo_map: TopoMap, goal_filter: GoalFilter, limits: Limits, robot_radius: float, period: float
-    ) -> None:
+    def __init__(self, topo_map: TopoMap, goal_filter: GoalFilter, limits: Limits) -> None:
         self._roads = roads_of(topo_map)
         self._filter = goal_filter
         self._limits = limits

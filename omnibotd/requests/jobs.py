@@ -120,10 +120,9 @@ class Jobs:
         await self._robot.recogniser.wake_up()
         self._robot.refuse_if_stopped(stops)
         control = self._robot.control
-        radius = self._robot.config.base.robot_radius
         await self._run(
             "relocalise",
-            lambda topo_map: Relocalisation(topo_map, control.goal_filter, control.limits, radius, PERIOD),
+            lambda topo_map: Relocalisation(topo_map, control.goal_filter, control.limits),
             feedback,
         )
         return {

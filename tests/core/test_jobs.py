@@ -144,7 +144,7 @@ def two_nodes() -> TopoMap:
 def relocalise(confidence: float, start: Pose2D) -> tuple[list[Decision], Pose2D]:
     """On an ideal base whose odometry is its map's frame; returns what was decided, and where it ended."""
     goal_filter, pose, stamp = GoalFilter(), start, 5.0
-    job = Relocalisation(two_nodes(), goal_filter, Limits(0.3, 1.0, 0.5, 2.0), 0.17, 0.1)
+    job = Relocalisation(two_nodes(), goal_filter, Limits(0.3, 1.0, 0.5, 2.0))
     decisions: list[Decision] = []
     while not decisions or decisions[-1].outcome is None:
         place = PlaceEstimate(stamp, pose, pose, confidence, 0.02, 0.8, 0.2, 1)

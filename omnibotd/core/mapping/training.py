@@ -85,7 +85,7 @@ def _check_enough(drive: Drive) -> None:
     if len(drive.views) < _FEWEST_NODES:
         raise TrainingError(
             f"the robot hardly moved: {len(drive.views)} places 8 cm or 15 degrees apart in {drive.samples} samples, "
-            f"at least {_FEWEST_NODES} are needed; if it did drive, odometry isn't arriving (see omnibotctl doctor)"
+            f"at least {_FEWEST_NODES} are needed; if it did drive, odometry isn't arriving (see omnibotctl status)"
         )
 
 

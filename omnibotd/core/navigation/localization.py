@@ -1,7 +1,7 @@
 """Localisation: a frame and odometry in, a pose in the map and the belief in it out (thesis §6.3.2, and more).
 
-view -> spectrum -> SOM buckets -> 20 candidates -> circular correlation -> hypotheses carried by odometry -> local
-regression for the metric pose -> confidence.
+view -> spectrum -> SOM buckets -> 20 candidates (60 in doubt) and the nodes near the likeliest poses -> circular
+correlation -> hypotheses carried by odometry -> regression of the likeliest -> trust -> confidence.
 """
 
 from __future__ import annotations

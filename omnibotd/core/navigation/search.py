@@ -1,7 +1,7 @@
 """What a robot does that does not know where it is: look round, go back, feel its way about, and at last say so.
 
 LOCALISING (stand, then one turn) ──► RETURNING (by odometry to where it was sure) ──► LOCALISING
-                                  ──► SEARCHING (a short leg one way, the next) ──► LOCALISING ──► ... ──► LOST
+                                  ──► SEARCHING (a short leg one way, the next ...) ──► LOST
 Several sure estimates that agree while it moves end it at any time.
 """
 
@@ -101,7 +101,10 @@ class Search:
         yield from self._feel_about()
 
     def _feel_about(self) -> Motion:
-        """Short legs round the compass; a direction in which something stands is not tried again."""
+        """Short legs round the compass; a direction in which something stands is not tried again.
+
+        The camera sees all round while it drives: to turn at each end would only cost the time for more legs.
+        """
         centre, given_up = self._now.odom_from_base, list[float]()
         for bearing, legs in STATIONS:
             if any(abs(wrap(bearing - other)) < GIVEN_UP for other in given_up):
@@ -109,7 +112,6 @@ class Search:
             station = centre @ Pose2D(yaw=bearing) @ Pose2D(legs * LEG)
             if (yield from self._leg(SearchState.SEARCHING, station, SEARCH_SPEED, 1.2 * LEG)):
                 given_up.append(bearing)
-            yield from self._look_round()
 
     def _stand(self) -> Motion:
         since = self._now.stamp

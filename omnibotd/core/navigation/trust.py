@@ -57,15 +57,26 @@ class Trust:
         self.value = 0.0
         self.broken = False  # the view changed at once and has fitted nothing since: covered, or carried away
         self._chance = chance
+        self._anew = 0.0  # trust earned since the view broke off
         self._fresh = True
+
+    def _break_off(self, continues: bool, fitting: float) -> None:
+        """A view that changed at once: until it fits as before, or was agreed with anew, the old trust is not spent."""
+        if not self.broken and not continues:
+            self.broken, self._anew = True, 0.0
+        if self.broken and fitting >= _REGAINED:
+            self.broken = False
+        elif self.broken and self._anew >= _REGAINED:
+            self.broken, self.value = False, self._anew
 
     def start_again(self) -> None:
         """Another pose is tracked from now on."""
-        self._fresh = True
+        self._fresh, self._anew = True, 0.0
 
     def shake(self, strain: float) -> None:
         """The tracked pose had to be corrected by more than odometry errs: `strain` is the log odds against that."""
-        self.value *= math.exp(-_SHAKEN * strain)
+        shaken = math.exp(-_SHAKEN * strain)
+        self.value, self._anew = self.value * shaken, self._anew * shaken
 
     def update(self, sight: Sight) -> float:
         """Take a frame into account; returns the new value."""
@@ -75,7 +86,7 @@ class Trust:
         lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD) * distinct
         contradicted = ramp(sight.elsewhere - sight.score, _BETTER, _MUCH_BETTER)
         contradicted *= ramp(sight.elsewhere, _CREDIBLE, _STRONG)
-        self.broken = (self.broken or not sight.continues) and fit * lead < _REGAINED
+        self._break_off(sight.continues, fit * lead)
         if self._fresh:
             self._fresh = False
             self.value = _AT_FIRST * fit * lead
@@ -83,10 +94,13 @@ class Trust:
         length = _SLOW + (_FAST - _SLOW) * lead
         gained = 1.0 - math.exp(-(sight.moved + _AT_REST * lead) / length)
         self.value += (1.0 - self.value) * fit * (1.0 - contradicted) * gained
-        self.value *= 1.0 - _CONTRADICTED * contradicted
-        self.value *= 1.0 - _UNFIT * (1.0 - fit) * (1.0 if self.broken else covered(sight.unexplained))
-        self.value *= math.exp(-sight.moved / _BLIND * (1.0 - fit))
-        return self.value * (fit * lead if self.broken else 1.0)
+        kept = (1.0 - _CONTRADICTED * contradicted) * math.exp(-sight.moved / _BLIND * (1.0 - fit))
+        kept *= 1.0 - _UNFIT * (1.0 - fit) * (1.0 if self.broken else covered(sight.unexplained))
+        self.value *= kept
+        if not self.broken:
+            return self.value
+        self._anew = (self._anew + (1.0 - self._anew) * fit * (1.0 - contradicted) * gained) * kept
+        return max(self.value * fit * lead, self._anew)
 
 
 def expected_score(unexplained: float) -> float:

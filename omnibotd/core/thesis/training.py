@@ -200,7 +200,7 @@ class _Drive:
         if self._path < _SHORTEST_PATH:
             raise TrainingError(
                 f"the robot hardly moved: {self._path:.1f} m by odometry, at least {_SHORTEST_PATH:.0f} m are needed; "
-                "if it did drive, odometry isn't arriving (see omnibotctl doctor)"
+                "if it did drive, odometry isn't arriving (see omnibotctl status)"
             )
         return som.train(vectors, seed=self._seed, progress=lambda share: self._progress("som", 0.3 + 0.6 * share))
 

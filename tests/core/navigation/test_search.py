@@ -81,7 +81,7 @@ def test_seeing_nothing_it_is_lost_within_its_bounds() -> None:
     assert decision.outcome is not None
     assert decision.outcome.error is ErrorName.LOST
     assert decision.twist == Twist2D()
-    assert robot.metres < SEARCH_DISTANCE
+    assert robot.metres < SEARCH_DISTANCE + 0.02  # a tick more
     assert robot.time - 100.0 < SEARCH_TIME + 1.0 + 1.1 * math.tau / 0.6 + 2.0
     assert max(pose.distance(robot.path[0]) for pose in robot.path) < 1.2
 

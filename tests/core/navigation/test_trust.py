@@ -59,6 +59,17 @@ def test_an_uncovered_lens_is_believed_again() -> None:
     assert trust.update(replace(GOOD, continues=False)) > 0.5
 
 
+def test_where_it_was_carried_trust_is_earned_anew() -> None:
+    """Half-way between nodes no match is good enough to settle the matter, but a metre of agreement is."""
+    trust = sure()
+    fair = replace(GOOD, score=0.62, elsewhere=0.5, unexplained=0.4)
+    assert trust.update(replace(fair, continues=False, moved=0.0)) < 0.5
+    for _ in range(60):
+        trust.update(fair)
+    assert not trust.broken
+    assert trust.value > 0.6
+
+
 def test_beside_the_nodes_a_poor_match_costs_metres_not_frames() -> None:
     poor = replace(GOOD, score=0.2, elsewhere=0.2, unexplained=0.9, moved=0.0)
     assert frames_until(sure(), poor, 0.9) == 200
