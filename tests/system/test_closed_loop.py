@@ -5,37 +5,18 @@ import json
 import math
 from typing import ClassVar
 
-import cv2
 import numpy as np
 import pytest
 
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.geometry import Pose2D, Twist2D
 from omnibotd.core.vision.camera_model import CameraModel
+from tests.empty_hall import EmptyHall
 from tools.evaluation.__main__ import main
 from tools.sim import ceilings, virtual_time
 from tools.sim.teacher import Area, Teacher, teach
 from tools.sim.virtual_robot import VirtualRobot, virtual_robot
 from tools.sim.world_plugin import WorldError
-
-
-class Hall:
-    """A large empty floor under a picture that never changes: enough for what needs no map, and fast."""
-
-    fov_deg = 190.0
-    bounds = (-10.0, -10.0, 10.0, 10.0)
-    dock = (9.0, 0.0, 0.0)
-
-    def __init__(self) -> None:
-        noise = np.random.default_rng(1).integers(60, 200, (120, 160, 3), dtype=np.uint8)
-        disc = cv2.circle(np.zeros((120, 160), np.uint8), (80, 60), 59, 255, -1)
-        self._image = cv2.bitwise_and(noise, noise, mask=disc)
-
-    def free(self, x: float, y: float, radius: float) -> bool:
-        return max(abs(x), abs(y)) + radius <= 10.0
-
-    def render(self, x: float, y: float, yaw: float, t: float) -> np.ndarray:
-        return self._image
 
 
 async def _drive(robot: VirtualRobot, twist: Twist2D, seconds: float) -> None:
@@ -47,7 +28,7 @@ async def _drive(robot: VirtualRobot, twist: Twist2D, seconds: float) -> None:
 
 def test_drives_at_the_speed_asked_for_and_stops_when_nobody_renews_it() -> None:
     async def live() -> None:
-        async with virtual_robot(Hall(), 1) as robot:
+        async with virtual_robot(EmptyHall(), 1) as robot:
             await _drive(robot, Twist2D(0.2, 0.0), 3.0)
             before = robot.pose
             await _drive(robot, Twist2D(0.2, 0.0), 5.0)
@@ -62,7 +43,7 @@ def test_drives_at_the_speed_asked_for_and_stops_when_nobody_renews_it() -> None
 
 def test_wheels_stop_by_themselves_when_the_line_falls_silent() -> None:
     async def live() -> None:
-        async with virtual_robot(Hall(), 1) as robot:
+        async with virtual_robot(EmptyHall(), 1) as robot:
             await _drive(robot, Twist2D(0.3, 0.0), 3.0)
             cut_at = robot.pose
             robot.link.cut = True
@@ -86,7 +67,7 @@ def test_wheels_stop_by_themselves_when_the_line_falls_silent() -> None:
 
 def test_being_carried_is_felt_by_no_wheel() -> None:
     async def live() -> None:
-        async with virtual_robot(Hall(), 1) as robot:
+        async with virtual_robot(EmptyHall(), 1) as robot:
             robot.teleport(Pose2D(5.0, 5.0, 1.0))
             await asyncio.sleep(0.5)
             assert robot.daemon.control.odometry.odom_from_base.distance(Pose2D()) < 1e-6
@@ -98,9 +79,9 @@ def test_being_carried_is_felt_by_no_wheel() -> None:
 
 def test_charging_contact_closes_at_the_dock() -> None:
     async def live() -> list[bool]:
-        async with virtual_robot(Hall(), 1) as robot:
+        async with virtual_robot(EmptyHall(), 1) as robot:
             felt = []
-            for pose in (Pose2D(0.0, 0.0), Pose2D(*Hall.dock)):
+            for pose in (Pose2D(0.0, 0.0), Pose2D(*EmptyHall.dock)):
                 robot.teleport(pose)
                 await asyncio.sleep(0.2)
                 felt.append((await robot.call("status"))["charging"])
@@ -110,7 +91,7 @@ def test_charging_contact_closes_at_the_dock() -> None:
 
 
 def test_a_world_s_own_lens_is_its_calibration() -> None:
-    class Calibrated(Hall):
+    class Calibrated(EmptyHall):
         camera_info: ClassVar = {
             "image_width": 160,
             "image_height": 120,
@@ -129,7 +110,7 @@ def test_a_world_s_own_lens_is_its_calibration() -> None:
 
 
 def test_a_failure_inside_the_daemon_comes_out_as_itself() -> None:
-    class Broken(Hall):
+    class Broken(EmptyHall):
         broken = False
 
         def render(self, x: float, y: float, yaw: float, t: float) -> np.ndarray:
