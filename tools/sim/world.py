@@ -52,10 +52,6 @@ class World:
         station = np.random.default_rng((seed, 7302)).uniform(-0.25, 0.25) * self.room.depth
         self._dock = (self.room.width / 2 - 0.22, round(float(station), 3), 0.0)
 
-    def with_surfaces(self, surfaces: Surfaces) -> World:
-        """The same room, camera and seed with other surfaces."""
-        return World(surfaces, self.seed, self.lens, self.room, self.noise)
-
     @property
     def fov_deg(self) -> float:
         return self.lens.fov_deg
