@@ -46,8 +46,9 @@ _FIRM = (0.7, 0.9)
 _TRACKING, _SEARCHING, _DOUBT = 20, 60, 0.5
 # Nodes round the likeliest poses are always compared, whatever the SOM says: tracking survives a change of light.
 _TRACKED, _LOCAL, _LOCAL_RADIUS = 3, 5, 0.4
-# Frames this near together (m) show nearly the same; correlating less, the robot was carried or its lens covered.
-_SAME_VIEW, _SAME_VIEW_WITHIN = 0.4, 0.2
+# Frames this near together (m) show nearly the same, turned as odometry says (rad); correlating less, or at another
+# angle, the robot was carried or its lens covered.
+_SAME_VIEW, _SAME_HEADING, _SAME_VIEW_WITHIN = 0.4, 0.3, 0.2
 # A likeliest pose this far (m) from where the last one went is another one.
 _JUMP = 0.4
 # The margin is taken to the best candidate at least this far away (m).
@@ -120,7 +121,13 @@ class _Rest:
         step = self.odom_from_base.inverse() @ odom_from_base
         if math.hypot(step.x, step.y) > _STOOD or abs(step.yaw) > _STOOD_TURN:
             return False
-        return bool(correlate(query, self.view[None])[1][0] > _UNCHANGED)
+        return _follows(query, self.view, step.yaw, _UNCHANGED)
+
+
+def _follows(query: Harmonics, last: Harmonics, turn: float, likeness: float) -> bool:
+    """Whether a view can follow from the last one by that turn (rad), without having moved much."""
+    headings, scores = correlate(query, last[None])
+    return bool(scores[0] > likeness and abs(wrap(float(headings[0]) - turn)) < _SAME_HEADING)
 
 
 class Localizer:
@@ -145,11 +152,13 @@ class Localizer:
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. FrameError where the frame can't be used."""
         view = smoothed(self._descriptor.view(frame), snapshots.ORDERS)  # all that nodes have of theirs
-        moved = self._move(odom_from_base)
+        step = self._move(odom_from_base)
+        moved = math.hypot(step.x, step.y) + _TURN_WORTH * abs(step.yaw)
         query = harmonics(view)
         if self._latest is not None and self._settled(query, odom_from_base):
             return replace(self._latest, stamp=frame.stamp, odom_from_base=odom_from_base)
-        continues = self._continues(query, moved)
+        last, self._last_view = self._last_view, query
+        continues = last is None or moved > _SAME_VIEW_WITHIN or _follows(query, last, step.yaw, _SAME_VIEW)
         candidates = self._candidates(view, query)
         evidence = _AT_REST + (1.0 - _AT_REST) * (1.0 - math.exp(-moved / _INDEPENDENT))
         if candidates.best >= _RECOGNISED:
@@ -173,19 +182,12 @@ class Localizer:
         rest.frames += 1
         return rest.frames > _SETTLED
 
-    def _move(self, odom_from_base: Pose2D) -> float:
-        """Carry the hypotheses along; returns the motion in metres, turns included."""
+    def _move(self, odom_from_base: Pose2D) -> Pose2D:
+        """Carry the hypotheses along; returns the motion since the last frame."""
         step = self._odom.inverse() @ odom_from_base if self._odom else Pose2D()
         self._odom = odom_from_base
         self._hypotheses.move(step)
-        return math.hypot(step.x, step.y) + _TURN_WORTH * abs(step.yaw)
-
-    def _continues(self, query: Harmonics, moved: float) -> bool:
-        """Whether this view can follow from the last one, after so little motion."""
-        last, self._last_view = self._last_view, query
-        if last is None or moved > _SAME_VIEW_WITHIN:
-            return True
-        return bool(correlate(query, last[None])[1][0] > _SAME_VIEW)
+        return step
 
     def _candidates(self, view: View, query: Harmonics) -> _Candidates:
         """By looks, through the SOM; and round the likeliest poses."""

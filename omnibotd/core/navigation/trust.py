@@ -15,6 +15,9 @@ _BETTER, _MUCH_BETTER = 0.1, 0.3
 _CREDIBLE, _STRONG = 0.45, 0.65
 # Lead over everything elsewhere that settles the matter.
 _CLEAR_LEAD = 0.15
+# A lead at which a pose that was kept over some motion begins to fit, and fits, however little it looks like what was
+# taught: in the dark a right pose correlates at 0.6 or less, but everything elsewhere far less.
+_OUTSTANDING = (0.2, 0.35)
 # Metres of agreement to be convinced, with no lead and with a clear one.
 _SLOW, _FAST = 1.5, 0.15
 # Fit times lead at which a view that broke off counts as found again.
@@ -91,6 +94,7 @@ class Trust:
             self._fresh = False
             self.value = _AT_FIRST * fit * lead
             return self.value
+        fit = max(fit, ramp(sight.score - sight.elsewhere, *_OUTSTANDING))
         length = _SLOW + (_FAST - _SLOW) * lead
         gained = 1.0 - math.exp(-(sight.moved + _AT_REST * lead) / length)
         self.value += (1.0 - self.value) * fit * (1.0 - contradicted) * gained
