@@ -11,8 +11,9 @@ from omnibotd.core.percept import PlaceEstimate
 SURE = 0.6  # confidence from which a place estimate steers
 UNSURE_DISTANCE = 1.5  # m driven without a sure estimate before the robot stops and searches
 UNSURE_TIME = 4.0  # s the same, for a robot that stands or creeps
-# Two estimates agree when odometry between them explains the second to this much: m, m a metre driven, rad.
-_AGREEMENT, _AGREEMENT_DRIFT, _AGREEMENT_YAW = 0.2, 0.1, 0.3
+# Two estimates agree when odometry between them explains the second to this much: m, rad, and a share of metres driven
+# and angle turned, for wheels that nobody calibrated.
+_AGREEMENT, _AGREEMENT_YAW, _AGREEMENT_DRIFT = 0.2, 0.3, 0.1
 # Estimates are held against one from before so much motion (m, rad), or a creeping error would pass.
 _ANCHOR_METRES, _ANCHOR_TURN = 1.0, math.tau
 # In a row, before anything is believed: one lucky frame must not set a robot off.
@@ -64,7 +65,8 @@ class Certainty:
     def _hold_against_anchor(self, place: PlaceEstimate) -> None:
         if self._anchor is not None:
             moved = self._anchor.odom_from_base.distance(place.odom_from_base)
-            if not _alike(carried(self._anchor, place.odom_from_base), place.map_from_base, moved):
+            turned = self.turned - self._anchored[1]
+            if not _alike(carried(self._anchor, place.odom_from_base), place.map_from_base, moved, turned):
                 self.restart()
         metres, turned = self._anchored if self._anchor is not None else (0.0, 0.0)
         old = self.metres - metres > _ANCHOR_METRES or self.turned - turned > _ANCHOR_TURN
@@ -103,6 +105,6 @@ def carried(place: PlaceEstimate, odom_from_base: Pose2D) -> Pose2D:
     return place.map_from_base @ (place.odom_from_base.inverse() @ odom_from_base)
 
 
-def _alike(expected: Pose2D, pose: Pose2D, moved: float = 0.0) -> bool:
+def _alike(expected: Pose2D, pose: Pose2D, moved: float = 0.0, turned: float = 0.0) -> bool:
     near = expected.distance(pose) < _AGREEMENT + _AGREEMENT_DRIFT * moved
-    return near and abs(wrap(expected.yaw - pose.yaw)) < _AGREEMENT_YAW
+    return near and abs(wrap(expected.yaw - pose.yaw)) < _AGREEMENT_YAW + _AGREEMENT_DRIFT * turned
