@@ -92,6 +92,52 @@ def office(seed: int, light: str = "nominal") -> World:
     return build(Design(albedo, chosen, interior, lens=lens), seed, light)
 
 
+def attic(seed: int, light: str = "nominal") -> World:
+    """Purlins under broad pale boards, round lamps between them."""
+    rng = np.random.default_rng((seed, 16))
+    room = Room(6.4, 4.8, 2.4)
+    albedo = np.minimum(materials.boards(rng, room, float(rng.uniform(0.18, 0.24))) * 1.5, 0.8)
+    centres = np.array([-2.0, 0.1, 2.1]) + rng.uniform(-0.2, 0.2, 3)
+    wood = paint.wood(rng, paint.ceiling_shape(room), (0.16, 0.26, 0.36))
+    drop = float(rng.uniform(0.14, 0.2))
+    flank = wood.transpose(1, 0, 2)[: round(drop * CEILING_SCALE)]
+    bars = tuple(BarDesign((float(c) - 0.07, float(c) + 0.07), drop, flank) for c in centres)
+    gaps = (centres[1:] + centres[:-1]) / 2
+    lamps = [Lamp(float(x), y + rng.normal(0.0, 0.2), 0.3) for x in gaps for y in (-1.3, 1.2)]
+    interior = furnished(rng, room, ("door", "shelf", "window", "plant", "cupboard", "picture"))
+    return build(Design(albedo, lamps, interior, (BarsDesign("y", bars, wood),)), seed, light)
+
+
+def clinic(seed: int, light: str = "nominal") -> World:
+    """Square metal panels, four large square lamps, two air outlets; 185 degree lens with a smaller circle."""
+    rng = np.random.default_rng((seed, 17))
+    room = Room(5.6, 5.6, 2.7)
+    albedo = materials.panels(rng, room, (0.62, 0.62))
+    lamps = [
+        Lamp(x + rng.normal(0.0, 0.25), y + rng.normal(0.0, 0.25), 0.6, 0.6) for x in (-1.2, 1.3) for y in (-1.3, 1.1)
+    ]
+    for _ in range(2):
+        materials.vent(albedo, rng.uniform(0.3, 4.7), rng.uniform(0.3, 4.7), 0.6)
+    materials.detector(albedo, *rng.uniform(1.0, 4.6, 2))
+    interior = furnished(rng, room, ("door", "curtains", "cupboard", "lockers", "radiator", "picture"))
+    return build(Design(albedo, lamps, interior, lens=Lens(fov_deg=185.0, radius=225.0)), seed, light)
+
+
+def gallery(seed: int, light: str = "nominal") -> World:
+    """White plaster with a long skylight down the middle and two rows of spots along the walls."""
+    rng = np.random.default_rng((seed, 18))
+    room = Room(7.2, 5.0, 3.0)
+    albedo = materials.plaster(rng, room)
+    y = float(rng.uniform(-0.3, 0.3))
+    skylight = _recess((-2.2, y - 0.45, 2.2, y + 0.45), 0.3, 0.1, 0.75)
+    for x in (1.1, 2.2, 3.3):
+        paint.box(skylight.top, (x - 0.02, 0.0, x + 0.02, 0.9), 0.35)
+    spots = [Lamp(x + rng.normal(0.0, 0.15), side * 2.0, 0.1) for x in (-2.8, -1.4, 0.0, 1.4, 2.8) for side in (-1, 1)]
+    materials.detector(albedo, rng.uniform(0.5, 2.0), 0.6)
+    interior = furnished(rng, room, ("door", "picture", "picture", "plant", "whiteboard"))
+    return build(Design(albedo, spots, interior, recesses=(replace(skylight, sky=1.1),)), seed, light)
+
+
 def hall(seed: int, light: str = "nominal") -> World:
     """12 x 12 m under a strictly periodic ceiling: identical tiles, and identical lamps every 1.8 m."""
     rng = np.random.default_rng((seed, 15))

@@ -227,7 +227,7 @@ class Localizer:
 
     def _node_sigma(self, score: Any) -> Any:
         """Standard deviation (m) of the place of a view that correlates with a node at `score` (an array, or one)."""
-        return _NODE_SIGMA + 0.5 * self._likeness.reach * (1.0 - score)
+        return _NODE_SIGMA + 0.5 * self._likeness.reach * np.maximum(0.0, 1.0 - score / self._trust.light)
 
     def _sharpen(self, view: View, seen: _Candidates, evidence: float) -> _Fit:
         """Correct the likeliest hypothesis by regression.
@@ -265,7 +265,7 @@ class Localizer:
         if found.pose.distance(prior) > _GATE or abs(wrap(found.pose.yaw - prior.yaw)) > _TURN_GATE:
             return _Fit(-1.0, found.unexplained)
         # A poor fit says little about where exactly.
-        loose = sigma * (1.0 - ramp(found.score, *_FIRM))
+        loose = sigma * (1.0 - ramp(found.score / self._trust.light, *_FIRM))
         self._hypotheses.place(number, found.pose, max(found.sigma, _SURE, loose))
         strain = 0.5 * (found.pose.distance(prior) / (sigma + _SURE)) ** 2
         return _Fit(found.score, found.unexplained, min(strain, _MOST_STRAIN))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 # A match is as good as can be expected from so much below what the nodes round about predict, and no match at all from
 # so much more: changed lamps cost 0.05 to 0.15 of correlation, a low sun 0.3.
@@ -15,9 +15,10 @@ _BETTER, _MUCH_BETTER = 0.1, 0.3
 _CREDIBLE, _STRONG = 0.45, 0.65
 # Lead over everything elsewhere that settles the matter.
 _CLEAR_LEAD = 0.15
-# A lead at which a pose that was kept over some motion begins to fit, and fits, however little it looks like what was
-# taught: in the dark a right pose correlates at 0.6 or less, but everything elsewhere far less.
-_OUTSTANDING = (0.2, 0.35)
+# What another light leaves of the likeness of a right pose, at worst; metres to learn less, and more, on which the pose
+# leads over everything elsewhere. By night a right pose correlates at 0.5 to 0.7, and everything else far less.
+_DARKEST, _DARKER, _BRIGHTER = 0.5, 1.0, 0.3
+_LEADING = (0.25, 0.35)
 # Metres of agreement to be convinced, with no lead and with a clear one.
 _SLOW, _FAST = 1.5, 0.15
 # Fit times lead at which a view that broke off counts as found again.
@@ -60,6 +61,7 @@ class Trust:
         self.value = 0.0
         self.broken = False  # the view changed at once and has fitted nothing since: covered, or carried away
         self._chance = chance
+        self.light = 1.0  # share of the expected likeness that is left in the present light
         self._anew = 0.0  # trust earned since the view broke off
         self._fresh = True
 
@@ -80,10 +82,20 @@ class Trust:
         """The tracked pose had to be corrected by more than odometry errs: `strain` is the log odds against that."""
         shaken = math.exp(-_SHAKEN * strain)
         self.value, self._anew = self.value * shaken, self._anew * shaken
+        self.light = 1.0 - (1.0 - self.light) * shaken
+
+    def _as_taught(self, sight: Sight, expected: float) -> Sight:
+        """The scores as they would be in the light of the teaching drive, which is learnt by the way."""
+        left = min(max(sight.score / max(expected, 0.1), _DARKEST), 1.0)
+        leading = ramp(sight.score - sight.elsewhere, *_LEADING) * covered(sight.unexplained)
+        length = _DARKER if left < self.light else _BRIGHTER
+        self.light += (left - self.light) * leading * (1.0 - math.exp(-sight.moved / length))
+        return replace(sight, score=sight.score / self.light, elsewhere=sight.elsewhere / self.light)
 
     def update(self, sight: Sight) -> float:
         """Take a frame into account; returns the new value."""
         expected = expected_score(sight.unexplained)
+        sight = self._as_taught(sight, expected)
         fit = ramp(sight.score, max(expected - _TOO_LOW, 0.3), max(expected - _SLACK, 0.5))
         distinct = ramp(sight.score, self._chance, self._chance + _DISTINCT * (1.0 - self._chance))
         lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD) * distinct
@@ -94,7 +106,6 @@ class Trust:
             self._fresh = False
             self.value = _AT_FIRST * fit * lead
             return self.value
-        fit = max(fit, ramp(sight.score - sight.elsewhere, *_OUTSTANDING))
         length = _SLOW + (_FAST - _SLOW) * lead
         gained = 1.0 - math.exp(-(sight.moved + _AT_REST * lead) / length)
         self.value += (1.0 - self.value) * fit * (1.0 - contradicted) * gained

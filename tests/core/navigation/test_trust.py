@@ -90,3 +90,33 @@ def test_confidence_grows_with_belief_and_is_held_back_where_places_look_alike()
     assert all(a >= b for a, b in zip(unique, repetitive, strict=True))
     assert repetitive[3] < 0.65
     assert (unique[0] < 0.01, unique[-1] > 0.99) == (True, True)
+
+
+def test_in_the_dark_less_likeness_is_enough_once_metres_agree() -> None:
+    """By night a right pose correlates at 0.55, everything else at 0.2 or less: believed after some metres."""
+    dark = replace(GOOD, score=0.55, elsewhere=0.2, moved=0.03)
+    trust = Trust(CHANCE)
+    assert max(trust.update(dark) for _ in range(10)) < 0.3
+    for _ in range(150):
+        trust.update(dark)
+    assert trust.value > 0.9
+
+
+def test_a_match_that_others_come_near_is_no_matter_of_the_light() -> None:
+    """Outside the map its rim looks like this, by day."""
+    rim = replace(GOOD, score=0.55, elsewhere=0.4, moved=0.03)
+    trust = Trust(CHANCE)
+    for _ in range(400):
+        trust.update(rim)
+    assert trust.value < 0.3
+    assert trust.light == 1.0
+
+
+def test_when_the_lamps_come_on_again_the_dark_is_forgotten() -> None:
+    trust = Trust(CHANCE)
+    for _ in range(200):
+        trust.update(replace(GOOD, score=0.5, elsewhere=0.1, moved=0.03))
+    assert trust.light < 0.7
+    for _ in range(40):
+        trust.update(replace(GOOD, moved=0.03))
+    assert trust.light > 0.95
