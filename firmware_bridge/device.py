@@ -26,7 +26,8 @@ WATCHDOG = 0.25  # seconds without a new set-point until the wheels stop: 12 cm 
 TELEMETRY_PERIOD = 0.02
 # Answers that wait for the line: one to each kind of request twice over; an MCU has no room for more.
 MAX_REPLIES = 8
-ALL = Capability(sum(Capability))
+# A device without wheels has nothing to configure.
+ALL = Capability(sum(Capability)) & ~Capability.CONFIGURATION
 
 
 class OmnibotDevice:

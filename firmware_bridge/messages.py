@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import struct
 from dataclasses import astuple, dataclass
-from typing import ClassVar, Self
+from typing import ClassVar, Self, get_args
 
 from firmware_bridge.events import BridgeError
 from firmware_bridge.framing import Frame, encode
@@ -35,6 +35,7 @@ class Capability(enum.IntFlag):
     CHARGING = 1 << 3
     BATTERY = 1 << 4
     RANGE = 1 << 5
+    CONFIGURATION = 1 << 6
 
 
 class Status(enum.IntFlag):
@@ -58,6 +59,26 @@ class Fault(enum.IntFlag):
     ENCODER_RIGHT = 1 << 3
     BATTERY_LOW = 1 << 4
     OVERHEATED = 1 << 5
+    CONFIGURATION = 1 << 6  # what was stored is damaged: the base drives with its defaults
+
+
+class Polarity(enum.IntFlag):
+    """What is wired the other way round; bits of CONFIGURE and CONFIG."""
+
+    MOTOR_LEFT = 1 << 0
+    MOTOR_RIGHT = 1 << 1
+    ENCODER_LEFT = 1 << 2
+    ENCODER_RIGHT = 1 << 3
+    BUMPERS_OPEN = 1 << 4  # switches that open when pressed
+    CHARGER_LOW = 1 << 5  # the charging contact is low on the dock
+
+
+class ConfigSource(enum.IntEnum):
+    """Where a base's configuration came from; the last byte of CONFIG."""
+
+    DEFAULT = 0  # nothing was ever stored
+    STORED = 1
+    DAMAGED = 2  # what was stored fails its checksum: defaults
 
 
 class _Fixed:
@@ -116,6 +137,40 @@ class Release(_Fixed):
     CODE = 0x04
     LAYOUT = struct.Struct("<I")
     boot_nonce: int
+
+
+@dataclass(frozen=True, slots=True)
+class GetConfig(_Fixed):
+    """Host: what are you configured for? Answered with Config by a base with Capability.CONFIGURATION."""
+
+    CODE = 0x05
+    LAYOUT = struct.Struct("")
+
+
+@dataclass(frozen=True, slots=True)
+class _Configuration(_Fixed):
+    """What differs from robot to robot; units and ranges in PROTOCOL.md."""
+
+    boot_nonce: int
+    ticks_per_1000_rev: int
+    acceleration: int
+    full_speed: int
+    max_speed: int
+    kp_16: int
+    ki: int
+    breakaway: int
+    polarity: int
+    battery_full_scale: int
+    battery_low: int
+    capabilities: int
+
+
+@dataclass(frozen=True, slots=True)
+class Configure(_Configuration):
+    """Host: store this and drive with it; acknowledged when it is stored. Taken only while the wheels are held."""
+
+    CODE = 0x06
+    LAYOUT = struct.Struct("<IIIHHBBBBHHH")
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,10 +238,17 @@ class Range(_Fixed):
     ahead_mm: int
 
 
-Message = Hello | SetPoint | Stop | Release | HelloReply | Ack | Telemetry | Range
-_TYPES: dict[int, type[Message]] = {
-    kind.CODE: kind for kind in (Hello, SetPoint, Stop, Release, HelloReply, Ack, Telemetry, Range)
-}
+@dataclass(frozen=True, slots=True)
+class Config(_Configuration):
+    """Base: the configuration in force, and where it came from."""
+
+    CODE = 0x85
+    LAYOUT = struct.Struct("<IIIHHBBBBHHHB")
+    source: int
+
+
+Message = Hello | SetPoint | Stop | Release | GetConfig | Configure | HelloReply | Ack | Telemetry | Range | Config
+_TYPES: dict[int, type[Message]] = {kind.CODE: kind for kind in get_args(Message)}
 
 
 def to_bytes(message: Message, seq: int) -> bytes:
