@@ -1,0 +1,1 @@
+"""Measuring the robot itself: the lens, the optical axis, the wheels."""
