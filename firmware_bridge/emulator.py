@@ -1,4 +1,4 @@
-"""A native base on a pty: whoever opens a serial port can talk to it, and see it fail."""
+"""A base on a pty: whoever opens a serial port can talk to it, and see it fail."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import math
 import os
 import tty
 from collections.abc import Callable
-from typing import Protocol, TypedDict
+from typing import Generic, Protocol, TypedDict, TypeVar, Unpack
 
-from firmware_bridge.device import OmnibotDevice
 from firmware_bridge.faults import HostileLine
 
 PERIOD = 0.005  # seconds: a quarter of the telemetry period
@@ -54,7 +53,33 @@ class Senses(TypedDict, total=False):
     range_ahead: float | None
 
 
-class Emulator:
+class Device(Protocol):
+    """A base without wheels or wire, as `firmware_bridge.device.OmnibotDevice` is one."""
+
+    @property
+    def target(self) -> tuple[float, float]:
+        """Wheel speeds (left, right), ticks/s, as of the last `receive` or `poll`."""
+
+    def set_state(self, left_ticks: int, right_ticks: int, **senses: Unpack[Senses]) -> None:
+        """What the sensors say now; ticks as ideal encoders would have counted them since the start."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Take bytes from the host."""
+
+    def poll(self, now: float) -> None:
+        """Mind time; call at least every 10 ms."""
+
+    def data_to_send(self) -> bytes:
+        """Bytes for the host since the last call."""
+
+    def reset(self, nonce: int) -> None:
+        """The base reboots; only the native protocol has a use for the nonce."""
+
+
+D = TypeVar("D", bound=Device)
+
+
+class Emulator(Generic[D]):
     """Runs a device on the far side of `port`; `to_device`, `to_host`, `silent` and `reset` are its faults.
 
     At every step `wheels` turn and `senses` is asked. The pty lives from here to the end of `run`, or to
@@ -63,7 +88,7 @@ class Emulator:
 
     def __init__(
         self,
-        device: OmnibotDevice,
+        device: D,
         wheels: Wheels | None = None,
         senses: Callable[[], Senses] | None = None,
         *,

@@ -58,8 +58,18 @@ class Telemetry:
 Event = Connected | Disconnected | Telemetry
 
 
+@dataclass(frozen=True, slots=True)
+class LastWords:
+    """Bytes for a base that would roll on without its host; true whoever writes them, and after half a command."""
+
+    stand: bytes  # stop the wheels; the connection goes on
+    leave: bytes  # stop them, and go where the base is best off without a host
+
+
 class Driver(Protocol):
     """A base's protocol without I/O: bytes in, events out; the owner moves the bytes and calls `poll` in time."""
+
+    last_words: LastWords | None  # None: the base's own watchdog stops it soon enough
 
     def receive(self, data: bytes, now: float) -> list[Event]:
         """Take bytes as they came from the line at `now`."""

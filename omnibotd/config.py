@@ -26,7 +26,7 @@ __all__ = [
     "load",
 ]
 
-BASE_DRIVERS = ("omnibot",)
+BASE_DRIVERS = ("omnibot", "create2", "arduino_bridge")
 PRESETS = ("default", "thesis")
 
 
@@ -72,7 +72,8 @@ class CameraConfig:
         high=0.5,
     )
     centre: tuple[float, float] | None = option(
-        "Optical centre in the image (column, row); left out, it is found in the frames.",
+        "Optical centre in the image (column, row), whatever says the lens otherwise; left out, the calibration "
+        "file's, or it is found in the frames.",
         None,
         unit="px",
         low=0.0,
@@ -101,15 +102,44 @@ class BaseConfig:
         words="a device path, usb:VID:PID[:SERIAL] with four hex digits each, or a pyserial URL",
         example="/dev/ttyUSB0",
     )
-    baudrate: int = option("Speed of the serial line.", 115200, unit="bit/s", low=1200, high=4_000_000)
-    wheel_radius: float = option("Radius of the driven wheels.", 0.035, unit="m", low=0.005, high=0.5)
-    wheel_separation: float = option("Distance between the driven wheels.", 0.23, unit="m", low=0.03, high=2.0)
+    baudrate: int = option(
+        "Speed of the serial line.",
+        115200,
+        unit="bit/s",
+        low=1200,
+        high=4_000_000,
+        by="driver",
+        defaults={"arduino_bridge": 57600},
+    )
+    wheel_radius: float = option(
+        "Radius of the driven wheels.",
+        0.035,
+        unit="m",
+        low=0.005,
+        high=0.5,
+        by="driver",
+        defaults={"create2": 0.036},
+    )
+    wheel_separation: float = option(
+        "Distance between the driven wheels.",
+        0.23,
+        unit="m",
+        low=0.03,
+        high=2.0,
+        by="driver",
+        defaults={"create2": 0.235},
+    )
+    wheel_ratio: float = option(
+        "Radius of the left wheel over that of the right one; wheel_radius is their mean.", 1.0, low=0.8, high=1.25
+    )
     ticks_per_rev: float | None = option(
         "Encoder counts in a turn of the wheel; left out, what the base says of itself.",
         None,
         low=1.0,
         high=1_000_000.0,
         example="1440",
+        by="driver",
+        needed_for={"arduino_bridge": "its board can't tell"},
     )
     robot_radius: float = option(
         "Radius of the smallest circle about the wheel axle's middle that holds the robot.",
@@ -118,7 +148,9 @@ class BaseConfig:
         low=0.03,
         high=1.0,
     )
-    max_linear_velocity: float = option("Top speed.", 0.3, unit="m/s", low=0.02, high=2.0)
+    max_linear_velocity: float = option(
+        "Top speed.", 0.3, unit="m/s", low=0.02, high=2.0, by="driver", defaults={"create2": 0.5}
+    )
     max_angular_velocity: float = option("Top rate of turn.", 1.0, unit="rad/s", low=0.05, high=6.0)
     max_linear_acceleration: float = option("Greatest change of speed.", 0.5, unit="m/s^2", low=0.05, high=5.0)
     max_angular_acceleration: float = option(

@@ -12,6 +12,7 @@ import re
 import textwrap
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -46,6 +47,10 @@ class Rule:
     max_length: int = 4096  # PATH_MAX: no option is longer than a path
     relative: bool = False  # a path that counts from the configuration file, unless it is a URL
     example: str = ""
+    # Defaults, and whether there is one at all, where another option of the same section has a certain value.
+    by: str = ""
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    needed_for: Mapping[str, str] = field(default_factory=dict)  # that option's value: why
 
     def expected(self, kind: str) -> str:
         """What would have been right, in words."""
@@ -87,6 +92,10 @@ def _described(item: dataclasses.Field[Any], kind: Any) -> list[str]:
     rule: Rule = item.metadata["rule"]
     bounds = rule.bounds() if kind is not str else ""
     text = f"{rule.doc} {bounds[0].upper()}{bounds[1:]}." if bounds else rule.doc
+    for other, default in rule.defaults.items():
+        text += f" With {rule.by} {other}: {default}."
+    for other, reason in rule.needed_for.items():
+        text += f" Needed with {rule.by} {other}: {reason}."
     required = item.default is dataclasses.MISSING
     value = rule.example or (f"{list(item.default)}" if isinstance(item.default, tuple) else f"{item.default}")
     comment = textwrap.wrap(text, 110, initial_indent="  # ", subsequent_indent="  # ", break_on_hyphens=False)
@@ -140,6 +149,10 @@ class _Reader:
                 values[item.name] = self._value(given[item.name], key, hints[item.name], rule)
             elif item.default is dataclasses.MISSING:
                 self._fault(node or top, f"{key}: missing, expected {rule.expected(rule.words)}")
+            elif (other := values.get(rule.by)) in rule.needed_for:
+                self._fault(node or top, f"{key}: missing, expected a number {rule.bounds()}: {rule.needed_for[other]}")
+            elif other in rule.defaults:
+                values[item.name] = rule.defaults[other]
         return values
 
     def _entries(self, node: yaml.Node, prefix: str, known: list[str]) -> dict[str, yaml.Node]:

@@ -7,7 +7,7 @@ import asyncio
 import logging
 import signal
 import sys
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,17 +16,21 @@ from typing import Any
 import cv2
 
 from firmware_bridge.bases import make_driver
-from omnibotd import __version__
-from omnibotd.config import Config, ConfigError, load
+from firmware_bridge.events import Driver
+from omnibotd import __version__, calibrations
+from omnibotd.config import BaseConfig, Config, ConfigError, load
 from omnibotd.control import ControlLoop, Feedback
 from omnibotd.core.errors import CoreError
 from omnibotd.io.camera import Camera
 from omnibotd.io.control_server import ControlServer
 from omnibotd.io.control_socket import ControlSocketError
 from omnibotd.io.map_store import MapStore, MapStoreError
-from omnibotd.io.motor_base import MotorBase, open_serial
+from omnibotd.io.motor_base import MotorBase
 from omnibotd.io.recorder import Recorder
+from omnibotd.io.serial_link import SerialLink, SerialPort
+from omnibotd.io.stop_guard import StopGuard
 from omnibotd.io.systemd_notify import Notifier
+from omnibotd.io.wake_line import waking
 from omnibotd.perception import OffLoop, Perception
 from omnibotd.pruning_process import prune_in_child
 from omnibotd.recognition import Recogniser
@@ -56,8 +60,10 @@ class Adapters:
 class Daemon:
     """The parts, wired; must be made inside a running event loop."""
 
-    def __init__(self, config: Config, adapters: Adapters) -> None:
-        self._config, self._adapters = config, adapters
+    def __init__(self, configured: Config, adapters: Adapters) -> None:
+        directory = configured.storage.directory
+        config, stored = calibrations.apply(configured, directory)
+        self._adapters = adapters
         self.control = ControlLoop(config, adapters.base, adapters.camera, adapters.notifier)
         self.perception = Perception(config, self.control, adapters.camera, adapters.off_loop)
         self.recogniser = Recogniser(
@@ -76,6 +82,7 @@ class Daemon:
             adapters.camera,
             adapters.store,
             adapters.off_loop,
+            calibrations.Calibrations(configured, directory, stored),
         )
         self.requests = Requests(robot, adapters.trainer, adapters.pruner, adapters.open_recorder)
 
@@ -136,6 +143,20 @@ class Daemon:
             await asyncio.sleep(0.5)
 
 
+def base_driver(base: BaseConfig) -> Driver:
+    """The driver the configuration names, told what only the configuration knows."""
+    fastest = base.max_linear_velocity + base.max_angular_velocity * base.wheel_separation / 2.0
+    return make_driver(base.driver, base.ticks_per_rev, fastest / base.wheel_radius)
+
+
+def motor_base(base: BaseConfig) -> MotorBase:
+    """The base on its port, with a guard where it needs one."""
+    open_port: Callable[[], Awaitable[SerialLink]] = SerialPort(base.port, base.baudrate).open
+    if base.driver == "create2":
+        open_port = waking(open_port)
+    return MotorBase(base_driver(base), open_port, StopGuard.start)
+
+
 async def serve(config: Config) -> None:
     """Run on the real machine until SIGTERM or SIGINT."""
     loop = asyncio.get_running_loop()
@@ -145,7 +166,7 @@ async def serve(config: Config) -> None:
         async def off_loop(function: Callable[..., Any], *arguments: Any) -> Any:
             return await loop.run_in_executor(worker, function, *arguments)
 
-        base = MotorBase(make_driver(config.base.driver), lambda: open_serial(config.base.port, config.base.baudrate))
+        base = motor_base(config.base)
         store = MapStore(config.storage.directory)
         daemon = Daemon(config, Adapters(Camera(config.camera), base, store, Notifier(), off_loop))
         server = ControlServer(config.control.socket, config.control.group, daemon.requests.dispatch)
@@ -171,6 +192,7 @@ def describe(config: Config) -> str:
     """What `--check` prints: the hardware that would be opened."""
     base, camera = config.base, config.camera
     lens = camera.calibration or f"{camera.fov_deg:g} deg equidistant, image circle from the frames"
+    _, stored = calibrations.apply(config, config.storage.directory)
     return "\n".join(
         [
             "configuration is good; omnibotd would open",
@@ -178,6 +200,7 @@ def describe(config: Config) -> str:
             f"  base     {base.driver} on {base.port} at {base.baudrate} baud",
             f"  maps     {config.storage.directory}",
             f"  socket   {config.control.socket}",
+            *(f"  {s.name:8} calibration of {s.date}{f', IGNORED: {s.reason}' if s.reason else ''}" for s in stored),
         ]
     )
 

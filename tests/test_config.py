@@ -7,7 +7,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from omnibotd.config import Config, ConfigError, load
+from firmware_bridge.bases import DRIVERS
+from omnibotd.config import BASE_DRIVERS, Config, ConfigError, load
 from omnibotd.config_reader import reference
 
 SHIPPED = Path(__file__).resolve().parents[1] / "config"
@@ -51,6 +52,40 @@ def test_three_lines_make_a_working_file_and_the_rest_are_the_documented_default
     assert (config.navigation.xy_goal_tolerance, config.docking.max_retries) == (0.05, 3)
     assert (config.storage.directory, config.control.group) == (Path("/var/lib/omnibotd"), "omnibot")
     assert config.control.socket == Path("/run/omnibotd/control.sock")
+
+
+@pytest.mark.parametrize(
+    ("driver", "extra", "found"),
+    [
+        ("omnibot", {}, (115200, 0.035, 0.23, None, 0.17, 0.3)),
+        ("create2", {}, (115200, 0.036, 0.235, None, 0.17, 0.5)),
+        ("create2", {"wheel_radius": 0.0362, "max_linear_velocity": 0.3}, (115200, 0.0362, 0.235, None, 0.17, 0.3)),
+        ("arduino_bridge", {"ticks_per_rev": 1200}, (57600, 0.035, 0.23, 1200, 0.17, 0.3)),
+    ],
+)
+def test_defaults_are_what_the_driver_s_base_has(tmp_path, driver, extra, found):
+    base = {"driver": driver, "port": "/dev/ttyUSB0", **extra}
+    config = load(write(tmp_path, yaml.safe_dump({**MINIMAL, "base": base}))).base
+    assert found == (
+        config.baudrate,
+        config.wheel_radius,
+        config.wheel_separation,
+        config.ticks_per_rev,
+        config.robot_radius,
+        config.max_linear_velocity,
+    )
+
+
+def test_what_a_base_can_not_tell_has_to_be_configured(tmp_path):
+    text = "camera: {source: /dev/video0}\nbase:\n  driver: arduino_bridge\n  port: /dev/ttyUSB0\n"
+    assert problems(tmp_path, text) == (
+        f"{tmp_path / 'robot.yaml'}:3: base.ticks_per_rev: missing, expected a number from 1 to 1000000: "
+        "its board can't tell",
+    )
+
+
+def test_every_driver_has_a_name_that_the_configuration_takes():
+    assert set(BASE_DRIVERS) == set(DRIVERS)
 
 
 def test_values_are_read_as_their_types(tmp_path):
@@ -147,7 +182,7 @@ colour: blue
         f"{path}:2: camera.sorce: unknown key; did you mean camera.source?",
         f"{path}:2: camera.source: missing, expected a device, an http:// address, a video file or a folder of images",
         f"{path}:3: camera.width: found the text 'wide', expected a whole number from 160 to 4096 (px)",
-        f"{path}:5: base.driver: found the text 'roomba', expected omnibot",
+        f"{path}:5: base.driver: found the text 'roomba', expected omnibot or create2 or arduino_bridge",
         f"{path}:7: base.port: given twice, first on line 6",
         f"{path}:8: base.frame_rate: unknown key; did you mean recording.frame_rate?",
         f"{path}:9: docking: found 3, expected lines of 'key: value'",
@@ -202,6 +237,8 @@ def test_the_shipped_files_load():
     simulated = load(SHIPPED / "simulated.yaml")
     assert simulated.camera.source.startswith("http://127.0.0.1:")
     assert simulated.control.group is None
+    assert load(SHIPPED / "create2.yaml").base.driver == "create2"
+    assert load(SHIPPED / "arduino_bridge.yaml").base.driver == "arduino_bridge"
 
 
 def test_the_shipped_default_is_the_table_of_options_printed():

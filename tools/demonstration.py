@@ -18,6 +18,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,7 @@ import numpy as np
 from omnibotd import map_plot
 from omnibotd.core.geometry import Pose2D, Twist2D, wrap
 from omnibotd.io.map_store import MapStore
+from tools.sim.emulators import BODIES, driver_of
 
 GOTO_LIMIT = 0.25  # m
 DOCK_LIMIT, DOCK_LIMIT_DEG = 0.03, 2.0  # m, degrees
@@ -37,6 +39,7 @@ LANES = ((-0.6, -1.2), (2.1, -1.2), (2.1, -0.5), (-0.6, -0.5), (-0.6, 0.2), (2.1
 TOUR = (*LANES, (0.2, 0.2), (0.2, -1.2), (1.3, -1.2), (1.3, 0.2))
 PLACES = {"desk": Pose2D(-0.4, 0.1, 2.2), "sofa": Pose2D(0.6, -1.0, -1.0), "shelf": Pose2D(1.8, 0.0, 0.6)}
 RUN_UP = 0.6  # m straight ahead into the dock
+STUCK_TICKS = 15  # of 0.1 s without getting ahead
 
 WAYS = (  # BGR
     ("driven to teach", (150, 150, 150)),
@@ -47,8 +50,9 @@ WAYS = (  # BGR
 CONFIG = """\
 camera: {{source: "{camera}"}}
 base:
-  driver: omnibot
+  driver: {driver}
   port: "{port}"
+  ticks_per_rev: {ticks_per_rev}
   max_linear_velocity: {speed}
   max_linear_acceleration: 0.8
   max_angular_velocity: 1.5
@@ -126,7 +130,11 @@ class Stick:
         """Straight ahead into the pose, correcting the heading on the way."""
         self.to(pose.transform(-RUN_UP, 0.0), near=0.02, speed=0.25)
         self.face(pose.yaw)
+        way: deque[float] = deque(maxlen=STUCK_TICKS)
         while (ahead := -(pose.inverse() @ self._eyes.pose()).x) > 0.004:
+            way.append(ahead)
+            if len(way) == STUCK_TICKS and way[0] - ahead < 0.001:
+                break  # a Roomba stops by itself when its contacts meet the dock's
             offset = pose.inverse() @ self._eyes.pose()
             self.drive(Twist2D(min(0.15, ahead + 0.02), -3.0 * offset.y - 1.5 * offset.yaw))
             time.sleep(0.1)
@@ -282,12 +290,12 @@ def process(log: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
                 child.wait()
 
 
-def demonstrate(out: Path, ceiling: str, seed: int) -> bool:
+def demonstrate(out: Path, ceiling: str, seed: int, base: str) -> bool:
     """Everything from an empty folder to the picture; True if every limit was kept."""
     truth = out / "truth.jsonl"
     world = f"tools.sim.ceilings:{ceiling}"
     start = f"--pose={TOUR[0][0]},{TOUR[0][1]},0"
-    options = ("--world", world, "--seed", str(seed), start, "--truth", str(truth))
+    options = ("--world", world, "--base", base, "--seed", str(seed), start, "--truth", str(truth))
     with process(out / "simulator.log", "tools.sim.server", *options) as simulator:
         assert simulator.stdout is not None
         line = simulator.stdout.readline()
@@ -295,7 +303,8 @@ def demonstrate(out: Path, ceiling: str, seed: int) -> bool:
             raise DemoError(f"the simulator did not start: {(out / 'simulator.log').read_text().strip()}")
         where = json.loads(line)
         config = out / "omnibotd.yaml"
-        config.write_text(CONFIG.format(**where, out=out, socket=out / "control.sock", speed=SPEED))
+        wheels = {"driver": driver_of(base), "ticks_per_rev": BODIES[base].ticks_per_rev}
+        config.write_text(CONFIG.format(**where, **wheels, out=out, socket=out / "control.sock", speed=SPEED))
         with process(out / "omnibotd.log", "omnibotd.daemon", "--config", str(config)):
             story = Demonstration(out, where["camera"], Pose2D(*where["dock"]))
             began = time.monotonic()
@@ -315,6 +324,7 @@ def main() -> int:
     """Exit status 0 only if every goto ended within 0.25 m and docking within 3 cm and 2 degrees."""
     parser = argparse.ArgumentParser(prog="tools/demo", description=__doc__)
     parser.add_argument("--ceiling", default="tiles", choices=("tiles", "plain", "beams", "photo"))
+    parser.add_argument("--base", default="omnibot", choices=sorted(BODIES), help="omnibot-avr: its firmware in simavr")
     parser.add_argument("--seed", type=int, default=1, help="of the room's details and the robot's errors")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for map, logs and picture")
     options = parser.parse_args()
@@ -323,7 +333,7 @@ def main() -> int:
     (out / "truth.jsonl").unlink(missing_ok=True)
     out.mkdir(parents=True, exist_ok=True)
     try:
-        return 0 if demonstrate(out, options.ceiling, options.seed) else 1
+        return 0 if demonstrate(out, options.ceiling, options.seed, options.base) else 1
     except DemoError as error:
         print(f"tools/demo: {error}; logs are in {out}", file=sys.stderr)
         return 1

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from firmware_bridge import events, messages
-from firmware_bridge.events import BaseInfo, BridgeError, Connected, Disconnected, Event
+from firmware_bridge.events import BaseInfo, BridgeError, Connected, Disconnected, Event, LastWords
 from firmware_bridge.framing import DELIMITER, Decoder
 from firmware_bridge.messages import (
     Ack,
@@ -58,6 +58,8 @@ class OmnibotHost:
 
     Nothing queues up: at most one HELLO, one request and one set-point wait for `data_to_send`.
     """
+
+    last_words: LastWords | None = None
 
     def __init__(self) -> None:
         self._decoder = Decoder()

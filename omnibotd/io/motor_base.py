@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
+from typing import Any, Protocol
 
-from firmware_bridge.events import BaseInfo, BridgeError, Connected, Disconnected, Driver, Event, Telemetry
+from firmware_bridge.events import BaseInfo, BridgeError, Connected, Disconnected, Driver, Event, LastWords, Telemetry
 from omnibotd.io.serial_link import Link, LinkLost, SerialLink, open_serial, resolve_port
 
 __all__ = ["Link", "LinkLost", "MotorBase", "SerialLink", "open_serial", "resolve_port"]
@@ -19,22 +20,46 @@ LAST_BACKOFF = 5.0
 HANDSHAKE_LIMIT = 10.0
 NO_ANSWER = f"no answer in {HANDSHAKE_LIMIT:.0f} s: check base.port, base.driver and the cable"
 SETTLE_LIMIT = 2.0  # seconds; every driver notices silence well before
+# Without set-points for so long every base stands: its watchdog or its guard has seen to that. What waits on the line
+# is as old, and whatever was being done is not to go on as if nothing had been.
+STALL_LIMIT = 1.0  # seconds; a busy PC makes one or two tenths of them
 EVENT_LIMIT = 200  # 2-4 s of telemetry at 50-100 Hz: a control tick later than that is beyond odometry's help
+
+
+class Guard(Protocol):
+    """Whoever stops the base when this process no longer can: `omnibotd.io.stop_guard`."""
+
+    @property
+    def alive(self) -> bool: ...
+
+    def beat(self, rolling: bool) -> None: ...
+
+    async def close(self) -> None: ...
 
 
 class MotorBase:
     """Keeps one base connected as long as `run` runs; everything else here is immediate and never waits.
 
     A set-point is sent once, when `drive` is called: the caller's own tick keeps the base moving, its absence
-    stops it. `open_link` raises LinkLost when it can't. The loop's clock is the only clock.
+    stops it: by the base's own watchdog, else by a guard. `open_link` and `start_guard` raise LinkLost when they
+    can't. The loop's clock is the only clock.
     """
 
-    def __init__(self, driver: Driver, open_link: Callable[[], Awaitable[Link]]) -> None:
+    def __init__(
+        self,
+        driver: Driver,
+        open_link: Callable[[], Awaitable[Link]],
+        start_guard: Callable[[Any, LastWords], Awaitable[Guard]] | None = None,
+    ) -> None:
+        """`start_guard` takes an open link and is only called for a base without a watchdog of its own."""
         self._driver = driver
         self._open_link = open_link
+        self._start_guard = start_guard
+        self._guard: Guard | None = None
         self._link: Link | None = None
         self._shaken = False  # the driver holds the base for connected
         self._answered_at = 0.0
+        self._polled_at = 0.0
         self._backoff = FIRST_BACKOFF
         self._events: deque[Event] = deque()
         self._info: BaseInfo | None = None
@@ -61,7 +86,7 @@ class MotorBase:
         return self._reason
 
     async def run(self) -> None:
-        """Connect and reconnect until cancelled; whatever ends it, a zero set-point goes out first."""
+        """Connect and reconnect until cancelled; whatever ends it, the driver's last words go out first."""
         try:
             while True:
                 try:
@@ -76,9 +101,13 @@ class MotorBase:
             self._disconnect("stopped")
 
     def drive(self, left: float, right: float) -> None:
-        """Wheel speeds, rad/s; ignored while not connected."""
+        """Wheel speeds, rad/s; ignored while not connected. Zero after a stall: the caller acts on what was before."""
+        if self._stalled_for() > STALL_LIMIT:
+            left = right = 0.0
         self._driver.drive(left, right, _now())
         self._flush()
+        if self._guard is not None:
+            self._guard.beat(rolling=left != 0.0 or right != 0.0)
 
     def stop(self) -> None:
         """A zero set-point."""
@@ -112,25 +141,47 @@ class MotorBase:
             await asyncio.sleep(POLL_PERIOD)
 
     async def _serve(self, link: Link) -> None:
-        """Move bytes until the link is lost."""
+        """Move bytes until the link is lost; no base without a watchdog moves without a guard."""
+        words = self._driver.last_words
+        try:
+            if words is not None and self._start_guard is not None:
+                self._guard = await self._start_guard(link, words)
+            await self._exchange(link)
+        finally:
+            if words is not None:
+                link.write(words.leave)
+            self._link = None
+            link.close()
+            guard, self._guard = self._guard, None
+            if guard is not None:
+                await asyncio.shield(guard.close())  # it must be gone before the port is opened again
+
+    async def _exchange(self, link: Link) -> None:
         self._link = link
         self._disconnect("waiting for the base to answer")
         reading = asyncio.create_task(self._read(link))
-        self._answered_at = _now()
+        self._answered_at = self._polled_at = _now()
         try:
             while not reading.done():
+                if self._stalled_for() > STALL_LIMIT:
+                    raise LinkLost(f"this program stood still for {self._stalled_for():.1f} s")
+                self._polled_at = _now()
                 self._take(self._driver.poll(_now()))
                 self._flush()
                 if _now() - self._answered_at > HANDSHAKE_LIMIT:
                     raise LinkLost(NO_ANSWER)
+                if self._guard is not None and not self._guard.alive:
+                    raise LinkLost("the process that guards the base died")
                 await asyncio.wait({reading}, timeout=POLL_PERIOD)
             await reading
         finally:
             self.stop()
-            self._link = None
-            link.close()
             reading.cancel()
             await asyncio.gather(reading, return_exceptions=True)
+
+    def _stalled_for(self) -> float:
+        """Seconds for which the event loop has not come round, while there is a link."""
+        return 0.0 if self._link is None else _now() - self._polled_at
 
     async def _read(self, link: Link) -> None:
         while True:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from itertools import pairwise
@@ -14,7 +15,7 @@ import pytest
 from firmware_bridge.bases.omnibot import OmnibotHost
 from firmware_bridge.device import OmnibotDevice
 from firmware_bridge.emulator import Emulator, Senses
-from firmware_bridge.events import BridgeError, Connected, Disconnected, Telemetry
+from firmware_bridge.events import BridgeError, Connected, Disconnected, LastWords, Telemetry
 from omnibotd.io import motor_base
 from omnibotd.io.motor_base import EVENT_LIMIT, LinkLost, MotorBase, open_serial
 from tools.sim import virtual_time
@@ -329,5 +330,111 @@ def test_what_was_asked_without_a_link_is_not_sent_later() -> None:
             await until(lambda: base.connected)
             await asyncio.sleep(0.2)
             assert link.device.target == (0, 0)
+
+    virtual_time.run(main())
+
+
+def test_after_a_stall_of_this_process_all_begins_anew() -> None:
+    async def main() -> None:
+        first, second = (MemoryLink(OmnibotDevice(1000.0, k)) for k in range(2))
+        base = MotorBase(OmnibotHost(), opener(first, second))
+        async with running(base):
+            await until(lambda: base.connected)
+            base.drive(TURN, TURN)
+            time.sleep(motor_base.STALL_LIMIT + 0.1)  # noqa: ASYNC251 (the stall)
+            base.drive(TURN, TURN)  # as a control tick that is overdue, too
+            assert first.device.target == (0, 0)
+            await until(lambda: not base.connected)
+            assert "stood still" in base.reason
+            assert first.closed and first.device.target == (0, 0)
+            await until(lambda: base.connected)
+            assert second.device.target == (0, 0)
+
+    asyncio.run(main())
+
+
+# A base without a watchdog of its own
+
+
+class SpeakingHost(OmnibotHost):
+    """The native driver, as if its base had no watchdog."""
+
+    last_words = LastWords(stand=b"", leave=b"LEAVE")
+
+
+class FakeGuard:
+    """Notes what it is told."""
+
+    def __init__(self, told: list[object]) -> None:
+        self.told = told
+        self.alive = True
+
+    def beat(self, rolling: bool) -> None:
+        self.told.append(rolling)
+
+    async def close(self) -> None:
+        await asyncio.sleep(0.2)
+        self.told.append("gone")
+
+
+def test_such_a_base_is_guarded_before_a_byte_goes_out_and_hears_the_last_words() -> None:
+    told: list[object] = []
+
+    async def main() -> None:
+        link = MemoryLink(OmnibotDevice(1000.0, 1))
+
+        async def start_guard(port: Any, words: LastWords) -> FakeGuard:
+            await asyncio.sleep(0.3)
+            assert (port, words, link.written) == (link, SpeakingHost.last_words, b"")
+            return FakeGuard(told)
+
+        base = MotorBase(SpeakingHost(), opener(link), start_guard)
+        async with running(base):
+            await until(lambda: base.connected)
+            base.drive(TURN, TURN)
+            base.stop()
+        assert link.written.endswith(b"LEAVE") and link.closed
+
+    virtual_time.run(main())
+    # Driven, stopped, and the zero set-point on the way out.
+    assert told == [True, False, False, "gone"]
+
+
+def test_a_dead_guard_ends_the_connection_and_the_next_one_has_another() -> None:
+    guards: list[FakeGuard] = []
+    told: list[object] = []
+
+    async def start_guard(port: Any, words: LastWords) -> FakeGuard:
+        if len(guards) == 1 and not told:
+            told.append("refused")
+            raise LinkLost("no process")
+        guards.append(FakeGuard(told))
+        return guards[-1]
+
+    async def main() -> None:
+        links = [MemoryLink(OmnibotDevice(1000.0, k)) for k in range(3)]
+        base = MotorBase(SpeakingHost(), opener(*links), start_guard)
+        async with running(base):
+            await until(lambda: base.connected)
+            guards[0].alive = False
+            guards[0].told = []
+            await until(lambda: not base.connected)
+            assert "guards the base died" in base.reason
+            await until(lambda: base.reason == "no process")
+            assert links[1].closed and links[1].written == b"LEAVE"
+            await until(lambda: base.connected)
+            assert len(guards) == 2
+
+    virtual_time.run(main())
+
+
+def test_a_base_with_a_watchdog_has_no_guard() -> None:
+    async def refuse(port: Any, words: LastWords) -> FakeGuard:
+        raise AssertionError("not needed")
+
+    async def main() -> None:
+        base = MotorBase(OmnibotHost(), opener(MemoryLink(OmnibotDevice(1000.0, 1))), refuse)
+        async with running(base):
+            await until(lambda: base.connected)
 
     virtual_time.run(main())

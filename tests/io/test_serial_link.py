@@ -1,4 +1,4 @@
-"""The serial line under asyncio: ports found and refused, and lines that block, end or come over TCP."""
+"""The serial line under asyncio: ports found, refused and replugged, and lines that block, end or come over TCP."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import os
 import socket
 import tty
 from collections.abc import Iterator
-from types import SimpleNamespace
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
-from serial.tools import list_ports
 
 from firmware_bridge.events import BridgeError
-from omnibotd.io.serial_link import LinkLost, open_serial, resolve_port
+from omnibotd.io.serial_link import LinkLost, SerialLink, SerialPort, open_serial, resolve_port
+from omnibotd.io.usb import Adapter, UsbBus, UsbError
 
 BAUD = 115200
 
@@ -107,25 +108,40 @@ def test_refusals_say_what_to_do(pty: tuple[int, str]) -> None:
     asyncio.run(main())
 
 
-def port(device: str, vid: int, pid: int, serial_number: str | None) -> SimpleNamespace:
-    return SimpleNamespace(device=device, vid=vid, pid=pid, serial_number=serial_number)
+class Plugged(UsbBus):
+    """What is plugged in, and which of it was reset."""
+
+    def __init__(self, *adapters: Adapter) -> None:
+        self.adapters = list(adapters)
+        self.resets: list[Adapter] = []
+        self.refusal: str | None = None
+
+    def find(self, vid: int, pid: int) -> list[Adapter]:
+        return [adapter for adapter in self.adapters if (adapter.vid, adapter.pid) == (vid, pid)]
+
+    def adapter_of(self, tty: str) -> Adapter | None:
+        return next((adapter for adapter in self.adapters if tty in adapter.ttys), None)
+
+    def reset(self, adapter: Adapter) -> None:
+        self.resets.append(adapter)
+        if self.refusal is not None:
+            raise UsbError(self.refusal)
 
 
-PORTS = [
-    port("/dev/ttyACM1", 0x2341, 0x0043, "A1"),
-    port("/dev/ttyACM0", 0x2341, 0x0043, "A2"),
-    port("/dev/ttyUSB1", 0x0403, 0x6010, "FT"),
-    port("/dev/ttyUSB0", 0x0403, 0x6010, "FT"),
-    port("/dev/ttyS0", 0, 0, None),
-]
+def adapter(vid: int, pid: int, serial: str | None, *ttys: str, topology: str = "1-1") -> Adapter:
+    return Adapter(vid, pid, serial, topology, bus=1, address=4, ttys=ttys)
 
 
-@pytest.fixture
-def ports(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(list_ports, "comports", lambda: PORTS)
+ADAPTERS = (
+    adapter(0x2341, 0x0043, "A1", "/dev/ttyACM1"),
+    adapter(0x2341, 0x0043, "A2", "/dev/ttyACM0"),
+    adapter(0x0403, 0x6010, "FT", "/dev/ttyUSB0", "/dev/ttyUSB1"),
+    adapter(0x1A86, 0x7523, None, "/dev/ttyUSB2"),
+    adapter(0x1A86, 0x7523, None, "/dev/ttyUSB3"),
+    adapter(0x10C4, 0xEA60, "0001"),
+)
 
 
-@pytest.mark.usefixtures("ports")
 @pytest.mark.parametrize(
     ("given", "device"),
     [
@@ -136,14 +152,159 @@ def ports(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_ports_by_usb_numbers(given: str, device: str) -> None:
-    assert resolve_port(given) == device
+    assert resolve_port(given, Plugged(*ADAPTERS)) == device
 
 
-@pytest.mark.usefixtures("ports")
-def test_usb_numbers_that_name_no_port_or_several() -> None:
-    with pytest.raises(LinkLost, match="usb:1a86:7523: is the base plugged in"):
-        resolve_port("usb:1a86:7523")
-    with pytest.raises(LinkLost, match=r"usb:2341:0043:A2 \(/dev/ttyACM0\): name one"):
-        resolve_port("usb:2341:0043")
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ("usb:1a86:5523", "usb:1a86:5523: is the base plugged in"),
+        ("usb:2341:0043:A3", "usb:2341:0043:A3: is the base plugged in"),
+        ("usb:2341:0043", r"usb:2341:0043:A2 \(/dev/ttyACM0\): name one"),
+        ("usb:1a86:7523", r"usb:1a86:7523 \(/dev/ttyUSB3\): .* /dev/serial/by-path"),  # a wrong guess would drive
+        ("usb:10c4:ea60", "the kernel made no serial port of it"),
+    ],
+)
+def test_usb_numbers_that_name_no_port_or_several(given: str, reason: str) -> None:
+    with pytest.raises(LinkLost, match=reason):
+        resolve_port(given, Plugged(*ADAPTERS))
+
+
+def test_usb_numbers_that_are_none_are_our_user_s_mistake() -> None:
     with pytest.raises(BridgeError, match="four hexadecimal digits"):
-        resolve_port("usb:2341")
+        resolve_port("usb:2341", Plugged())
+
+
+# Hot-plug
+
+
+@contextmanager
+def two_ptys() -> Iterator[list[tuple[int, str]]]:
+    pairs = [os.openpty() for _ in range(2)]
+    for _, slave in pairs:
+        tty.setraw(slave)
+    try:
+        yield [(master, os.ttyname(slave)) for master, slave in pairs]
+    finally:
+        for descriptor in (end for pair in pairs for end in pair):
+            os.close(descriptor)
+
+
+def test_an_adapter_that_comes_back_under_another_name_is_found() -> None:
+    async def main(first: str, second: str) -> None:
+        bus = Plugged(adapter(0x0403, 0x6001, None, first))
+        port = SerialPort("usb:0403:6001", BAUD, bus)
+        (await port.open()).close()
+        bus.adapters = []
+        with pytest.raises(LinkLost, match="is the base plugged in"):
+            await port.open()
+        bus.adapters = [adapter(0x0403, 0x6001, "7", second, topology="1-2")]
+        link = await port.open()
+        assert os.ttyname(link.fileno()) == second
+        link.close()
+        assert bus.resets == []
+
+    with two_ptys() as ((_, first), (_, second)):
+        asyncio.run(main(first, second))
+
+
+async def close(link: SerialLink) -> None:
+    """And wait until it is."""
+    link.close()
+    while link._port.is_open:  # noqa: ASYNC110 (a thread closes it)
+        await asyncio.sleep(0.001)
+
+
+async def openings(port: SerialPort, count: int) -> None:
+    for _ in range(count):
+        await close(await port.open())
+
+
+@pytest.mark.parametrize("by_path", [False, True])
+def test_an_adapter_that_says_nothing_is_reset_after_three_openings_and_three_times_in_all(
+    pty: tuple[int, str], by_path: bool
+) -> None:
+    async def main() -> None:
+        bus = Plugged(adapter(0x0403, 0x6001, None, pty[1]))
+        port = SerialPort(pty[1] if by_path else "usb:0403:6001", BAUD, bus)
+        resets = []
+        for _ in range(12):
+            await openings(port, 1)
+            resets.append(len(bus.resets))
+        # Three openings that bring nothing, and the fourth is after a reset.
+        assert resets == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+        assert bus.resets == bus.adapters * 3
+        await openings(port, 10)
+        assert len(bus.resets) == 3
+
+    asyncio.run(main())
+
+
+def test_one_byte_is_proof_that_it_does_not_hang(pty: tuple[int, str]) -> None:
+    master, path = pty
+
+    async def main() -> None:
+        bus = Plugged(adapter(0x0403, 0x6001, None, path))
+        port = SerialPort(path, BAUD, bus)
+
+        async def hear_something() -> None:
+            link = await port.open()
+            os.write(master, b"x")
+            assert await link.read() == b"x"
+            await close(link)
+
+        for _ in range(3):
+            await openings(port, 2)
+            await hear_something()
+        assert bus.resets == []
+        await openings(port, 20)
+        await hear_something()
+        await openings(port, 20)
+        assert len(bus.resets) == 6
+
+    asyncio.run(main())
+
+
+def test_an_adapter_just_plugged_in_gets_its_three_openings(pty: tuple[int, str]) -> None:
+    async def main() -> None:
+        plugged = [adapter(0x0403, 0x6001, None, pty[1])]
+        bus = Plugged(*plugged)
+        port = SerialPort("usb:0403:6001", BAUD, bus)
+        await openings(port, 2)
+        bus.adapters = []
+        for _ in range(5):
+            with pytest.raises(LinkLost, match="is the base plugged in"):
+                await port.open()
+        bus.adapters = plugged
+        await openings(port, 3)
+        assert bus.resets == []
+
+    asyncio.run(main())
+
+
+def test_a_port_that_can_not_be_opened_is_reset_but_not_one_that_is_missing_or_in_use(
+    pty: tuple[int, str], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    hung = tmp_path / "ttyUSB0"
+    hung.write_text("")  # opens, and then is no tty, as little as one that hangs
+
+    async def fail(port: SerialPort, times: int, reason: str) -> None:
+        for _ in range(times):
+            with pytest.raises(LinkLost, match=reason):
+                await port.open()
+
+    async def main() -> None:
+        bus = Plugged(adapter(0x0403, 0x6001, None, str(hung)), adapter(0x2341, 0x0043, None, pty[1]))
+        bus.refusal = "permission denied"
+        port = SerialPort(str(hung), BAUD, bus)
+        await fail(port, 4, "Could not configure port")
+        assert len(bus.resets) == 1
+        bus.resets.clear()
+        other = await open_serial(pty[1], BAUD)
+        await fail(SerialPort(pty[1], BAUD, bus), 10, "in use by another program")
+        other.close()
+        await fail(SerialPort("usb:0403:ffff", BAUD, bus), 10, "is the base plugged in")
+        assert bus.resets == []
+
+    asyncio.run(main())
+    assert "usb:0403:6001 can't be reset: permission denied" in caplog.text

@@ -10,8 +10,8 @@ import pytest
 from omnibotd.core.decision import Decision, Observation, Outcome
 from omnibotd.core.geometry import Pose2D, Twist2D
 from tools.sim import virtual_time
-from tools.sim.plant import ROBOT_RADIUS, SimulatedRobot
-from tools.sim.virtual_robot import VirtualRobot, virtual_robot
+from tools.sim.plant import ROBOT_RADIUS
+from tools.sim.virtual_robot import virtual_robot
 
 WALL = 3.0  # m ahead of the middle
 
@@ -35,23 +35,10 @@ class Room:
         return self._image
 
 
-def give_range_sensor(robot: VirtualRobot) -> None:
-    """The robot's body, exchanged for one alike that looks ahead."""
-    robot.plant = SimulatedRobot(robot.world, robot.plant.pose, 1, range_sensor=True)
-    tell = robot.device.set_state
-
-    def tell_range_too(*ticks: int, **senses: object) -> None:
-        tell(*ticks, **{**senses, "range_ahead": robot.plant.range_ahead})
-
-    robot.device.set_state = tell_range_too
-
-
 @pytest.mark.parametrize(("sensor", "room_left"), [(True, 0.05), (False, 0.0)])
 def test_a_hand_that_drives_into_a_wall_is_stopped_short_of_it(sensor: bool, room_left: float) -> None:
     async def live() -> float:
-        async with virtual_robot(Room(), 1, Pose2D(1.8, 0.4, 0.0)) as robot:
-            if sensor:
-                give_range_sensor(robot)
+        async with virtual_robot(Room(), 1, Pose2D(1.8, 0.4, 0.0), range_sensor=sensor) as robot:
             await robot.call("drive", vx=0.3, wz=0.0, **{"for": 8.0})
             return WALL - ROBOT_RADIUS - robot.pose.x
 
@@ -66,8 +53,7 @@ def test_contact_that_is_expected_is_not_prevented() -> None:
             return Decision("AHEAD", Twist2D(0.1, 0.0), outcome, contact_expected=True)
 
     async def live() -> float:
-        async with virtual_robot(Room(), 1, Pose2D(2.6, 0.0, 0.0)) as robot:
-            give_range_sensor(robot)
+        async with virtual_robot(Room(), 1, Pose2D(2.6, 0.0, 0.0), range_sensor=True) as robot:
             await asyncio.sleep(0.5)
             await asyncio.wait_for(robot.daemon.control.start("ahead", Ahead(), None), 10.0)
             return WALL - ROBOT_RADIUS - robot.pose.x
@@ -77,8 +63,7 @@ def test_contact_that_is_expected_is_not_prevented() -> None:
 
 def test_nothing_ahead_is_infinitely_far_away() -> None:
     async def live() -> float | None:
-        async with virtual_robot(Room(), 1, Pose2D(0.0, 0.0, 0.0)) as robot:
-            give_range_sensor(robot)
+        async with virtual_robot(Room(), 1, Pose2D(0.0, 0.0, 0.0), range_sensor=True) as robot:
             await asyncio.sleep(0.5)
             assert robot.daemon.control._base.latest is not None
             return robot.daemon.control._base.latest.range_ahead

@@ -7,7 +7,6 @@ import shutil
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,8 @@ from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation.navigator import SURE
 from omnibotd.core.percept import PlaceEstimate
-from omnibotd.daemon import Adapters
 from omnibotd.io.map_store import MapStore
-from omnibotd.pruning_process import prune_and_save, prune_in_child
+from omnibotd.pruning_process import prune_in_child
 from omnibotd.training_process import train_and_save, train_in_child
 from tests.teaching import CAMERA
 from tools.sim import ceilings, virtual_robot, virtual_time
@@ -253,12 +251,7 @@ def test_another_room_under_the_map_s_name_is_refused_and_a_fresh_map_keeps_the_
     assert kept.recordings == before.recordings
 
 
-async def prune_in_place(name: str, nodes: int, store: MapStore) -> TopoMap:
-    return prune_and_save(name, nodes, store)
-
-
-def test_a_robot_arrives_with_a_pruned_map(room: Taught, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(virtual_robot, "Adapters", partial(Adapters, pruner=prune_in_place))
+def test_a_robot_arrives_with_a_pruned_map(room: Taught) -> None:
     before = room.store.load("room")
     limit = round(0.7 * len(before))
 

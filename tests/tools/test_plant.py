@@ -169,3 +169,17 @@ def test_range_is_measured_from_the_front_edge_straight_ahead(pose, metres):
 
 def test_a_robot_without_a_range_sensor_measures_none():
     assert SimulatedRobot(Box(), (2.0, 0.0, 0.0), 0, IDEAL).range_ahead is None
+
+
+def test_wheels_that_others_turn_move_it_as_its_own_do():
+    own, others = (SimulatedRobot(Box(), (-1.0, 0.5, 0.3), 0, IDEAL) for _ in range(2))
+    for _ in range(100):
+        others.roll(*own.step(0.01, 0.2 * TICKS_PER_METRE, 0.3 * TICKS_PER_METRE))
+    # What the encoders have not yet counted is less than a tick of each wheel.
+    assert others.pose == pytest.approx(own.pose, abs=0.001)
+    assert math.hypot(others.pose[0] + 1.0, others.pose[1] - 0.5) > 0.2
+
+
+def test_a_body_may_have_a_fraction_of_a_tick_to_the_turn():
+    roomba = Body(wheel_radius=0.036, wheel_separation=0.235, ticks_per_rev=508.8)
+    assert roomba.metres_per_tick == pytest.approx(0.00044456, rel=1e-4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import math
 import os
 import signal
 import subprocess
@@ -18,6 +19,8 @@ import pytest
 
 from firmware_bridge.bases import make_driver
 from firmware_bridge.events import Telemetry
+from tools.avr import building
+from tools.sim.emulators import BODIES, driver_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,10 +38,10 @@ def ask(address: str, method: str, path: str, body: str = "") -> dict[str, objec
     return reply
 
 
-def drive(line: int, seconds: float) -> Telemetry:
-    """Both wheels at 4 rad/s once hands are shaken; returns the last telemetry."""
-    driver = make_driver("omnibot")
-    end = time.monotonic() + seconds
+def drive(line: int, seconds: float, base: str = "omnibot") -> Telemetry:
+    """Hands shaken and a moment stood, both wheels at 4 rad/s for so long; returns the last telemetry."""
+    driver = make_driver(driver_of(base), BODIES[base].ticks_per_rev, 10.0)
+    go, end = math.inf, time.monotonic() + 10.0
     last = None
     while (now := time.monotonic()) < end:
         try:
@@ -46,8 +49,10 @@ def drive(line: int, seconds: float) -> Telemetry:
         except BlockingIOError:
             data = b""
         for event in [*driver.receive(data, now), *driver.poll(now)]:
-            last = event if isinstance(event, Telemetry) else last
-        driver.drive(4.0, 4.0, now)
+            if isinstance(event, Telemetry):
+                go, end = (now + 0.3, now + 0.3 + seconds) if last is None else (go, end)
+                last = event
+        driver.drive(*((4.0, 4.0) if now > go else (0.0, 0.0)), now)
         os.write(line, driver.data_to_send())
         time.sleep(0.01)
     assert last is not None, "no telemetry"
@@ -97,9 +102,34 @@ def test_robot_drives_is_seen_is_carried_and_ends_cleanly(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "base",
+    ["create2", *(pytest.param(base, marks=pytest.mark.slow) for base in ("arduino_bridge", "omnibot-avr"))],
+)
+def test_other_bases_are_driven_through_their_own_drivers(base, tmp_path):
+    if base == "omnibot-avr" and building.missing():
+        pytest.skip(f"not installed: {' '.join(building.missing())}")
+    process = start("--pose=-1,0,0", "--base", base)
+    try:
+        ready = json.loads(process.stdout.readline())
+        line = os.open(ready["port"], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(line)
+        telemetry = drive(line, 1.5, base)
+        moved = float(ask(ready["camera"].removeprefix("http://").removesuffix("/stream"), "GET", "/truth")["x"]) + 1.0
+        os.close(line)
+    finally:
+        process.terminate()
+        _, errors = process.communicate()
+    assert errors == ""
+    body = BODIES[base]
+    assert moved > 0.07
+    assert telemetry.left_ticks * body.metres_per_tick == pytest.approx(moved, abs=0.05)
+
+
+@pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
         (["--pose=3,0,0"], 1, "no room for a robot of radius 0.17 m at x=3.000"),
+        (["--base=segway"], 2, "invalid choice: 'segway'"),
         (["--pose=1,2"], 2, "'1,2': expected X,Y,YAW in metres and radians"),
         (["--truth=/nowhere/at/all"], 1, "No such file or directory: '/nowhere/at/all'"),
     ],

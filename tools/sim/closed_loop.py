@@ -18,11 +18,11 @@ from tools.sim.world_plugin import World, WorldError, load_world
 ROOM, DOCK = "room", "dock"
 
 
-async def scenario(world: World, seed: int, seconds: float) -> VirtualRobot:
+async def scenario(world: World, seed: int, seconds: float, base: str = "omnibot") -> VirtualRobot:
     """Record, train, save the dock, go home, dock again; prints each step's outcome. Raises RpcError."""
     dock = Pose2D(*world.dock)
     home = dock @ Pose2D(-1.0, 0.0)
-    async with virtual_robot(world, seed, home) as robot:
+    async with virtual_robot(world, seed, home, base=base) as robot:
         area = Area.to_teach(world, (home.x, home.y), side=2.0, margin=NEAR_DOCK)
         teacher = Teacher(robot, area, seed)
         await teach(robot, teacher, ROOM, seconds, park=dock)
@@ -40,13 +40,15 @@ def main(arguments: list[str] | None = None) -> int:
     """Exit status 1 where the world is none, or a job failed."""
     parser = argparse.ArgumentParser(prog="closed_loop", description=__doc__)
     parser.add_argument("--world", default="tools.sim.ceilings:tiles", metavar="MODULE:FACTORY")
+    parser.add_argument("--base", choices=("omnibot", "create2", "arduino_bridge"), default="omnibot")
     parser.add_argument("--seed", type=int, default=1, metavar="N")
     parser.add_argument("--teach", type=float, default=120.0, metavar="SECONDS")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     began = time.perf_counter()
     try:
-        robot = virtual_time.run(scenario(load_world(options.world, options.seed), options.seed, options.teach))
+        world = load_world(options.world, options.seed)
+        robot = virtual_time.run(scenario(world, options.seed, options.teach, options.base))
     except (WorldError, NoWay, RpcError) as error:
         print(f"closed_loop: {error}", file=sys.stderr)
         return 1

@@ -37,7 +37,7 @@ class Body:
 
     wheel_radius: float = 0.035
     wheel_separation: float = 0.23
-    ticks_per_rev: int = 1440
+    ticks_per_rev: float = 1440
     scale_error: float = 0.01
     wheel_difference: float = 0.002
     slip: float = 0.004
@@ -111,6 +111,10 @@ class SimulatedRobot:
         left, right = (self._counted - before).tolist()
         return left, right
 
+    def roll(self, left: int, right: int) -> None:
+        """Moves as wheels do that motors of somebody else's turned by so many ticks within a few milliseconds."""
+        self._turn(np.array([left, right], float))
+
     def at_dock(self, tolerance: float = 0.03) -> bool:
         """Whether the charging contacts meet: within `tolerance` m and 5 degrees of the world's dock."""
         x, y, yaw = self._pose
@@ -127,7 +131,9 @@ class SimulatedRobot:
 
     def _substep(self, dt: float, target: np.ndarray) -> None:
         self._speed += (target - self._speed) * -math.expm1(-dt / MOTOR_LAG)
-        ticks = self._speed * dt
+        self._turn(self._speed * dt)
+
+    def _turn(self, ticks: np.ndarray) -> None:
         self._turned += ticks
         rolled = ticks * self._metres_per_tick
         # A random walk in distance: its variance grows with the way gone, whatever the length of a step.

@@ -20,8 +20,8 @@ from typing import TextIO
 
 import cv2
 
-from firmware_bridge.device import OmnibotDevice
 from firmware_bridge.emulator import Emulator, Senses
+from tools.sim.emulators import BODIES, BaseUnavailable, TurningDevice, make_device
 from tools.sim.mjpeg import MjpegServer
 from tools.sim.panorama import PanoramaError
 from tools.sim.plant import Pose, SimulatedRobot
@@ -35,21 +35,28 @@ BATTERY_FULL, BATTERY_CHARGING = 12_400, 13_600  # mV, a three-cell pack
 class RobotServer:
     """One robot in one world: its body behind an emulated base, its camera and its truth behind HTTP."""
 
-    def __init__(self, world: World, pose: Pose, seed: int, fps: float) -> None:
+    def __init__(
+        self, world: World, pose: Pose, seed: int, fps: float, base: str = "omnibot", *, range_sensor: bool = False
+    ) -> None:
         """Opens the pty. Raises ValueError where there is no room for the robot at `pose`."""
         self._world = world
         self._period = 1.0 / fps
-        self._plant = SimulatedRobot(world, pose, seed)
-        self._ticks = [0, 0]
-        device = OmnibotDevice(self._plant.body.ticks_per_rev, int.from_bytes(os.urandom(4), "big"))
-        self.emulator = Emulator(device, self, self._senses, seed=seed)
+        self._plant = SimulatedRobot(world, pose, seed, BODIES[base], range_sensor=range_sensor)
+        self._ticks = (0, 0)
+        self._device = make_device(base, int.from_bytes(os.urandom(4), "big"))
+        self.emulator = Emulator(self._device, self, self._senses, seed=seed)
         self.camera = MjpegServer({("GET", "/truth"): lambda _: self.truth(), ("POST", "/teleport"): self._teleport})
 
     def step(self, dt: float, left_target: float, right_target: float) -> tuple[int, int]:
         """The emulator's wheels: ticks (left, right) since the start."""
-        fresh = self._plant.step(dt, left_target, right_target)
-        self._ticks = [before + new for before, new in zip(self._ticks, fresh, strict=True)]
-        return self._ticks[0], self._ticks[1]
+        left, right = self._ticks
+        if isinstance(self._device, TurningDevice):
+            self._ticks = self._device.turned
+            self._plant.roll(self._ticks[0] - left, self._ticks[1] - right)
+        else:
+            new_left, new_right = self._plant.step(dt, left_target, right_target)
+            self._ticks = (left + new_left, right + new_right)
+        return self._ticks
 
     def where(self) -> dict[str, object]:
         """What a user of this robot needs to know: base, camera, and the dock's true pose."""
@@ -84,7 +91,13 @@ class RobotServer:
         left, right = self._plant.bumpers
         charging = self._plant.at_dock()
         volts = BATTERY_CHARGING if charging else BATTERY_FULL
-        return Senses(bumper_left=left, bumper_right=right, charging=charging, battery_mv=volts)
+        return Senses(
+            bumper_left=left,
+            bumper_right=right,
+            charging=charging,
+            battery_mv=volts,
+            range_ahead=self._plant.range_ahead,
+        )
 
     def _teleport(self, body: bytes) -> dict[str, object]:
         try:
@@ -167,6 +180,8 @@ def _rate(text: str) -> float:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="tools/sim/serve", description=__doc__)
     parser.add_argument("--world", default="tools.sim.ceilings:tiles", metavar="MODULE:FACTORY")
+    parser.add_argument("--base", choices=sorted(BODIES), default="omnibot", help="whose protocol the pty speaks")
+    parser.add_argument("--range-sensor", action="store_true", help="it looks ahead and tells, where its protocol can")
     parser.add_argument("--seed", type=int, default=0, help="of the room's details and the robot's errors")
     parser.add_argument("--pose", type=_pose, default=(0.0, 0.0, 0.0), metavar="X,Y,YAW")
     parser.add_argument("--port", type=int, default=0, help="of the camera on 127.0.0.1; 0 takes a free one")
@@ -182,9 +197,11 @@ def main() -> int:
     cv2.setNumThreads(1)  # frames are small; the daemon under test needs the other cores
     try:
         world = load_world(options.world, options.seed)
-        robot = RobotServer(world, options.pose, options.seed, options.fps)
+        robot = RobotServer(
+            world, options.pose, options.seed, options.fps, options.base, range_sensor=options.range_sensor
+        )
         asyncio.run(serve(robot, options))
-    except* (WorldError, PanoramaError, ValueError, OSError) as group:
+    except* (WorldError, PanoramaError, BaseUnavailable, ValueError, OSError) as group:
         print("\n".join(f"tools/sim/serve: {error}" for error in group.exceptions), file=sys.stderr)
         return_code = 1
     else:

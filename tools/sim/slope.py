@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Image
 
-ANGLE = math.radians(1.0)
+ANGLE, GENTLE = math.radians(1.0), math.radians(0.2)
 _TAPER = 4.0  # px at the rim over which the shift ends: beyond the image circle there is nothing to shift in
 
 Floats = NDArray[np.float32]
@@ -25,12 +25,12 @@ class Slope:
     robot, serve every heading. The camera's height above a long slope is left as it is.
     """
 
-    def __init__(self, lens: CameraModel, seed: int) -> None:
+    def __init__(self, lens: CameraModel, seed: int, angle: float = ANGLE) -> None:
         self._toward = float(np.random.default_rng((seed, 7501)).uniform(-math.pi, math.pi))
         pixels = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1)
         self._at = pixels.astype(np.float32)
-        self._ahead = _shift(lens, pixels, (0.0, ANGLE))
-        self._left = _shift(lens, pixels, (-ANGLE, 0.0))
+        self._ahead = _shift(lens, pixels, (0.0, angle))
+        self._left = _shift(lens, pixels, (-angle, 0.0))
 
     def __call__(self, image: Image, x: float, y: float, yaw: float, t: float) -> Image:
         toward = self._toward - yaw
@@ -41,7 +41,7 @@ class Slope:
 def _shift(lens: CameraModel, pixels: NDArray[np.int64], leaning: tuple[float, float]) -> Floats:
     """(H, W, 2) pixels from what a leaning camera sees to where a level one sees it; `leaning` about x and y."""
     rays = lens.unproject(pixels)
-    wide = replace(lens, fov=lens.fov + 4.0 * ANGLE)
+    wide = replace(lens, fov=lens.fov + 4.0 * ANGLE)  # the greater of both angles serves both
     turn, _ = cv2.Rodrigues(np.array([*leaning, 0.0]))
     # A central difference: what is left out is of third order.
     shift = np.nan_to_num((wide.project(rays @ turn.T) - wide.project(rays @ turn)) / 2.0)

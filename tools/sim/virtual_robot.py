@@ -6,8 +6,6 @@ What stands in for hardware is the far side of two adapters: bytes of the base's
 from __future__ import annotations
 
 import asyncio
-import math
-import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
@@ -20,105 +18,27 @@ import cv2
 import numpy as np
 import yaml
 
-from firmware_bridge.bases import make_driver
-from firmware_bridge.device import OmnibotDevice
 from omnibotd.config import load
 from omnibotd.core.geometry import Pose2D, Twist2D
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.percept import PlaceEstimate
-from omnibotd.core.vision.frame import Frame
-from omnibotd.daemon import Adapters, Daemon
+from omnibotd.daemon import Adapters, Daemon, base_driver
 from omnibotd.io.map_store import MapStore
 from omnibotd.io.motor_base import MotorBase
-from omnibotd.io.recorder import Recorder
 from omnibotd.io.systemd_notify import Notifier
+from omnibotd.pruning_process import prune_and_save
 from omnibotd.training_process import train_and_save
+from tools.sim.emulators import BODIES, make_device
+from tools.sim.memory_adapters import EXPOSURE_TO_ARRIVAL, MemoryCamera, MemoryLink, PatientRecorder
 from tools.sim.plant import ROBOT_RADIUS, SimulatedRobot
 from tools.sim.track import Track
 from tools.sim.world_plugin import World, WorldError
 
-FRAME_PERIOD = 0.1  # s; what the control tick can use
-EXPOSURE_TO_ARRIVAL = 0.03  # s; a webcam's MJPEG frame over USB 2, and the daemon stamps arrivals
 JPEG_QUALITY = 90
 STEP = 0.02  # s of the robot's body: the period of the base's telemetry; the plant makes its own smaller steps
 READY_LIMIT = 10.0  # s until base and camera must have answered
 STORAGE = "storage"  # folder of maps and recordings, beside the configuration
-LINE_BUFFER = 4096  # bytes, as a pty holds; nobody reads while the daemon reconnects
-RECORDS_WAITING = 32  # enough to keep the recorder's thread busy, too few to make it drop a frame
 TRUTH_LIMIT = 100_000  # frames whose true pose is remembered: twice the 75 minutes the thesis taught
-
-
-class MemoryLink:
-    """A serial line to a device role in the same process; `cut` loses all bytes both ways."""
-
-    def __init__(self, device: OmnibotDevice) -> None:
-        self._device = device
-        self._arrived = bytearray()
-        self._news = asyncio.Event()
-        self.cut = False
-
-    async def read(self) -> bytes:
-        await self._news.wait()
-        data = bytes(self._arrived)
-        self._arrived.clear()
-        self._news.clear()
-        return data
-
-    def write(self, data: bytes) -> None:
-        if not self.cut:
-            self._device.receive(data, asyncio.get_running_loop().time())
-
-    def close(self) -> None:
-        """Nothing to let go of: the device lives on."""
-
-    def deliver(self, data: bytes) -> None:
-        if data and not self.cut:
-            self._arrived += data
-            del self._arrived[:-LINE_BUFFER]
-            self._news.set()
-
-
-class MemoryCamera:
-    """Offers what `omnibotd.io.camera.Camera` offers; pictures are taken by `expose(now)` when due."""
-
-    rate_hz = 1.0 / FRAME_PERIOD
-    reason = ""
-
-    def __init__(self, expose: Callable[[float], bytes], size: tuple[int, int]) -> None:
-        self._expose = expose
-        self.size = size
-        self.latest: Frame | None = None
-        self._news = asyncio.Event()
-
-    def age(self, now: float) -> float:
-        return math.inf if self.latest is None else now - self.latest.stamp
-
-    def ok(self, now: float) -> bool:
-        return self.age(now) < 1.0
-
-    async def wait_newer(self, stamp: float) -> Frame:
-        while self.latest is None or self.latest.stamp <= stamp:
-            self._news.clear()
-            await self._news.wait()
-        return self.latest
-
-    async def run(self) -> None:
-        loop = asyncio.get_running_loop()
-        while True:
-            data = self._expose(loop.time())
-            await asyncio.sleep(EXPOSURE_TO_ARRIVAL)
-            self.latest = Frame(loop.time(), data)
-            self._news.set()
-            await asyncio.sleep(FRAME_PERIOD - EXPOSURE_TO_ARRIVAL)
-
-
-class PatientRecorder(Recorder):
-    """Waits for its own thread where the real one would drop frames: virtual seconds are shorter than the disk's."""
-
-    def _put(self, record: Any) -> bool:
-        while self._waiting.qsize() >= RECORDS_WAITING and self.error is None:
-            time.sleep(0.001)
-        return super()._put(record)
 
 
 class VirtualRobot:
@@ -133,24 +53,34 @@ class VirtualRobot:
         *,
         preset: str = "default",
         wheel_error: float = 0.0,
+        base: str = "omnibot",
+        range_sensor: bool = False,
     ) -> None:
         """Configuration and storage go to `directory`; wheels are by the share `wheel_error` larger than it says."""
         self.world = world
+        pose = (start.x, start.y, start.yaw)
         with _room_for_robot():
-            self.plant = SimulatedRobot(world, (start.x, start.y, start.yaw), seed)
-        body = self.plant.body
-        self.device = OmnibotDevice(body.ticks_per_rev, boot_nonce=seed % 2**32)
+            self.plant = SimulatedRobot(world, pose, seed, BODIES[base], range_sensor=range_sensor)
+        self.device = make_device(base, nonce=seed % 2**32)
         self.link = MemoryLink(self.device)
         self.frames = 0
         self.seconds = 0.0  # lived
         self._truth: deque[tuple[float, Pose2D]] = deque(maxlen=TRUTH_LIMIT)
         self._ticks = [0, 0]
-        config = load(_write_config(world, self.plant, directory, preset, wheel_error))
+        config = load(_write_config(world, self.plant, directory, preset, wheel_error, base))
         height, width = world.render(*self.plant.pose, 0.0).shape[:2]
         self.camera = MemoryCamera(self._photograph, (width, height))
         self.store = MapStore(config.storage.directory)
-        base = MotorBase(make_driver(config.base.driver), self._open_link)
-        adapters = Adapters(self.camera, base, self.store, Notifier(), _in_place, _train_in_place, PatientRecorder)
+        adapters = Adapters(
+            self.camera,
+            MotorBase(base_driver(config.base), self._open_link),
+            self.store,
+            Notifier(),
+            _in_place,
+            _train_in_place,
+            PatientRecorder,
+            _prune_in_place,
+        )
         self.daemon = Daemon(config, adapters)
 
     @property
@@ -216,7 +146,14 @@ class VirtualRobot:
 
     def _sense(self) -> None:
         left, right = self.plant.bumpers
-        self.device.set_state(*self._ticks, bumper_left=left, bumper_right=right, charging=self.plant.at_dock())
+        self.device.set_state(
+            self._ticks[0],
+            self._ticks[1],
+            bumper_left=left,
+            bumper_right=right,
+            charging=self.plant.at_dock(),
+            range_ahead=self.plant.range_ahead,
+        )
 
     def _photograph(self, now: float) -> bytes:
         self.frames += 1
@@ -237,6 +174,8 @@ async def virtual_robot(
     preset: str = "default",
     wheel_error: float = 0.0,
     directory: Path | None = None,
+    base: str = "omnibot",
+    range_sensor: bool = False,
 ) -> AsyncIterator[VirtualRobot]:
     """A robot that lives, daemon and all, inside this block; it stands at `start`, default somewhere free.
 
@@ -245,7 +184,16 @@ async def virtual_robot(
     """
     with TemporaryDirectory(prefix="omnibot-") as passing, _unwrapped():
         place = start or somewhere(world)
-        robot = VirtualRobot(world, seed, place, directory or Path(passing), preset=preset, wheel_error=wheel_error)
+        robot = VirtualRobot(
+            world,
+            seed,
+            place,
+            directory or Path(passing),
+            preset=preset,
+            wheel_error=wheel_error,
+            base=base,
+            range_sensor=range_sensor,
+        )
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(robot.live()), group.create_task(robot.daemon.run())]
             await robot.ready()
@@ -293,22 +241,29 @@ async def _train_in_place(*arguments: Any) -> TopoMap:
     return train_and_save(*arguments)
 
 
-def _write_config(world: World, plant: SimulatedRobot, directory: Path, preset: str, wheel_error: float) -> Path:
+async def _prune_in_place(name: str, nodes: int, store: MapStore) -> TopoMap:
+    return prune_and_save(name, nodes, store)
+
+
+def _write_config(
+    world: World, plant: SimulatedRobot, directory: Path, preset: str, wheel_error: float, base: str
+) -> Path:
     """A configuration file as a user would write it for this robot."""
     camera: dict[str, Any] = {"source": "http://simulated/", "fov_deg": float(world.fov_deg)}
     info = getattr(world, "camera_info", None)
     if isinstance(info, Mapping):
         camera["calibration"] = "camera.yaml"
         (directory / "camera.yaml").write_text(yaml.safe_dump(dict(info)), "utf-8")
-    base = {
-        "driver": "omnibot",
+    wheels = {
+        "driver": base,
         "port": "/dev/simulated",
+        "ticks_per_rev": plant.body.ticks_per_rev,
         "wheel_radius": plant.body.wheel_radius / (1.0 + wheel_error),
         "wheel_separation": plant.body.wheel_separation,
         "robot_radius": ROBOT_RADIUS,
     }
     navigation = {"preset": preset}
-    config = {"camera": camera, "base": base, "navigation": navigation, "storage": {"directory": STORAGE}}
+    config = {"camera": camera, "base": wheels, "navigation": navigation, "storage": {"directory": STORAGE}}
     path = directory / "omnibotd.yaml"
     path.write_text(yaml.safe_dump(config), "utf-8")
     return path
