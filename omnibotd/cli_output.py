@@ -6,7 +6,7 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 # Confidence from which a pose steers the robot and may be saved (as the daemon decides), below which it says nothing.
@@ -54,12 +54,15 @@ def _row(cells: Sequence[str], widths: Sequence[int], right: Sequence[int]) -> s
 def feedback(values: Values) -> str:
     """One line of a job's feedback."""
     parts = [str(values[key]) for key in ("state", "stage") if values.get(key)]
-    formats = {
+    formats: dict[str, Callable[[Any], str]] = {
         "waypoint": lambda value: (
             f"way-point {value}" + (f" of {values['waypoints']}" if "waypoints" in values else "")
         ),
         "loop": lambda value: f"loop {value} of {values['loops']}" if values.get("loops", 1) > 1 else "",
+        "trial": lambda value: f"trial {value} of {values['trials']}, {values['docked']} docked",
         "progress": lambda value: f"{value:.0%}",
+        "found": lambda value: f"{value} boards seen, {values['kept']} kept",
+        "missing": _missing,
         "distance_remaining": lambda value: f"{value:.2f} m to go",
         "confidence": lambda value: f"confidence {value:.2f}",
         "number_of_recoveries": lambda value: _plural(value, "recovery", "recoveries") if value else "",
@@ -69,6 +72,11 @@ def feedback(values: Values) -> str:
     }
     parts += [form(values[key]) for key, form in formats.items() if values.get(key) is not None]
     return "  ".join(part for part in parts if part)
+
+
+def _missing(parts: Any) -> str:
+    """Of the picture, where the board was not seen yet."""
+    return f"still missing: {', '.join(parts)}" if parts else "seen everywhere"
 
 
 def _plural(count: float, one: str, many: str) -> str:
@@ -93,9 +101,15 @@ def status(values: Values) -> str:
     ]
     if values.get("recording"):
         rows.insert(2, ("recording", recording(values["recording"])))
+    rows += [(f"calibration {entry['name']}", _calibration(entry)) for entry in values.get("calibrations") or ()]
     if values.get("last_failure"):
         rows.append(("last failure", _last_failure(values["last_failure"])))
     return table(rows)
+
+
+def _calibration(values: Values) -> str:
+    about = f"of {values['date']}, residual {values['residual']}"
+    return about if values["in_use"] else f"NOT IN USE: {values['reason']} ({about})"
 
 
 def _last_failure(values: Values) -> str:

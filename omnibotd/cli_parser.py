@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any, NoReturn
 
-from omnibotd import __version__, cli_files, cli_output
+from omnibotd import __version__, cli_calibrate, cli_docking, cli_files, cli_output
 from omnibotd import cli_verbs as verbs
 
 
@@ -57,6 +57,7 @@ def parser(default_socket: str) -> argparse.ArgumentParser:
     _add_moving(group)
     _add_teaching(group)
     _add_maps(_family(group, "map", "list, choose, show, check, prune, save and delete maps"))
+    _add_calibrations(_family(group, "calibrate", "measure the lens, the camera's axis, the wheels"))
     _add_places(_family(group, "place", "named places of the map"))
     return top
 
@@ -105,11 +106,39 @@ def _add_moving(group: Any) -> None:
     relocalise = verbs.simple("relocalise", "looking for the place", verbs.found, job=True)
     text = "find yourself from nothing: forget the pose, choose among the maps, look round, search; Ctrl-C stops"
     _verb(group, "relocalise", text, relocalise)
-    dock = _verb(
-        group, "dock", "dock [NAME], or dock save NAME where the robot stands docked; Ctrl-C stops", verbs.dock
-    )
-    dock.add_argument("words", nargs="*", metavar="[save] NAME")
+    _add_docking(group)
     _verb(group, "stop", "cancel any job and halt", verbs.simple("stop", "stopping", lambda _: ""))
+
+
+def _add_docking(group: Any) -> None:
+    text = "dock [NAME], or dock save NAME where the robot stands docked (again, in another light); Ctrl-C stops"
+    dock = _verb(group, "dock", text, cli_docking.dock)
+    dock.add_argument("words", nargs="*", metavar="[save] NAME")
+    dock.add_argument("--trials", type=_count, metavar="N", help="leave and dock again N times; tell mean and spread")
+    dock.add_argument("--fresh", action="store_const", const=True, help="with save: forget how the dock looked before")
+    undock = verbs.simple("undock", "leaving the dock", cli_docking.undocked, job=True)
+    _verb(group, "undock", "back out of the dock, half a metre; Ctrl-C stops", undock)
+
+
+def _add_calibrations(calibrate: Any) -> None:
+    text = "the lens, from a chessboard held before the camera, or from pictures of one; Ctrl-C ends it"
+    camera = _verb(calibrate, "camera", text, cli_calibrate.camera)
+    camera.add_argument("--images", metavar="FOLDER", help="pictures of the board; needs no daemon")
+    camera.add_argument("--board", metavar="9x6", help="inner corners; seen in the pictures unless told")
+    camera.add_argument("--square", type=_number, metavar="M", help="side of a square, 0.025 unless told")
+    camera.add_argument("-o", dest="output", metavar="FILE", help="with --images: where to write, default camera.yaml")
+    text = "tilt and optical centre of the camera, by a turn on the spot under a still ceiling; Ctrl-C stops"
+    _verb(calibrate, "spin", text, cli_calibrate.spin)
+    text = (
+        "the wheels, by turns and drives of 1.2 m ahead; with --distance no drive, but what the tape says of the last"
+    )
+    base = _verb(calibrate, "base", text, cli_calibrate.base)
+    base.add_argument(
+        "--distance",
+        type=_number,
+        metavar="M",
+        help="by tape, from where the last calibrate base began to where it ended",
+    )
 
 
 def _add_teaching(group: Any) -> None:

@@ -149,27 +149,6 @@ def _arrival(result: Mapping[str, Any]) -> str:
     return f"arrived after {cli_output.duration(result['seconds'])}: {cli_output.pose(result.get('pose'))}{within}"
 
 
-def dock(terminal: Terminal, options: argparse.Namespace) -> None:
-    words = options.words
-    if words[:1] == ["save"]:
-        if len(words) != 2:
-            raise UsageError("dock save: name the dock")
-        run = simple("dock.save", "saving the dock", saved, "name")
-    else:
-        if len(words) > 1:
-            raise UsageError("dock: at most one name; to save one say dock save NAME")
-        run = simple("dock", "docking", _docked, "name", job=True)
-    run(terminal, argparse.Namespace(name=words[-1] if words else None))
-
-
-def _docked(result: Mapping[str, Any]) -> str:
-    offset = result.get("offset")
-    where = f", off by {cli_output.pose(offset)}" if offset else ""
-    return (
-        f"docked at {result['dock']} after {cli_output.duration(result['seconds'])}, {result['retries']} retries{where}"
-    )
-
-
 def saved(result: Mapping[str, Any]) -> str:
     return f"{result['name']} saved at {cli_output.pose(result.get('pose'))}"
 

@@ -69,10 +69,10 @@ class ControlLoop:
             limits.max_linear_acceleration,
             limits.max_angular_acceleration,
         )
-        self._drive = DifferentialDrive(limits.wheel_radius, limits.wheel_separation)
+        self.drive = DifferentialDrive(limits.wheel_radius, limits.wheel_separation, limits.wheel_ratio)
         self._ticks_per_rev = limits.ticks_per_rev
         self._base, self._camera, self._notifier = base, camera, notifier
-        self.odometry = WheelOdometry(self._drive)
+        self.odometry = WheelOdometry(self.drive)
         self.goal_filter = GoalFilter()
         self._gate = SafetyGate(self.limits)
         self.place: PlaceEstimate | None = None
@@ -263,7 +263,7 @@ class ControlLoop:
         if twist != STOP:
             self.moved_at = self._now()
         self.twist = twist
-        self._base.drive(*self._drive.wheel_speeds(twist))
+        self._base.drive(*self.drive.wheel_speeds(twist))
 
     def _record(self, now: float) -> None:
         if self.recorder is not None:

@@ -26,6 +26,7 @@ _CODES = {
     ErrorName.BUSY: REFUSED,
     ErrorName.EMERGENCY_STOP: REFUSED,
     ErrorName.NOT_PERMITTED: REFUSED,
+    ErrorName.NOT_DOCKED: REFUSED,
     ErrorName.CANCELLED: CANCELLED,
     ErrorName.INVALID: INVALID_PARAMS,
 }

@@ -12,11 +12,11 @@ from typing import Any
 from omnibotd.config import Config
 from omnibotd.control import ControlLoop
 from omnibotd.core.decision import HomingRequest
-from omnibotd.core.docking.registration import DockRegistration
+from omnibotd.core.docking.lights import Light, Lights
 from omnibotd.core.errors import CoreError, MapError
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.calibration import calibration_differs
-from omnibotd.core.mapping.topo_map import TopoMap
+from omnibotd.core.mapping.topo_map import Dock, TopoMap
 from omnibotd.core.percept import HomingEstimate
 from omnibotd.core.vision import image_circle
 from omnibotd.core.vision.camera_model import CameraModel
@@ -43,10 +43,11 @@ class Perception:
         self.lens_known = asyncio.Event()
         self.topo_map: TopoMap | None = None
         self._localizer: Locating | None = None
-        self._registration: tuple[str, DockRegistration] | None = None
+        self._registration: tuple[str, Lights] | None = None
         self._recorded_at = -math.inf
         self._first_frames: list[Frame] = []
         self.reason = ""
+        self.witness: Callable[[Frame, Pose2D], None] | None = None  # is shown every frame with its odometry
         self.loading: str | None = None  # the map that is being made ready: no job may start on the one before
 
     async def use(self, topo_map: TopoMap | None) -> None:
@@ -86,7 +87,8 @@ class Perception:
             stamp = frame.stamp
             began = asyncio.get_running_loop().time()
             await self._look(frame)
-            period = BUSY_PERIOD if self._control.moving or self._control.recorder else IDLE_PERIOD
+            busy = self._control.moving or self._control.recorder or self.witness
+            period = BUSY_PERIOD if busy else IDLE_PERIOD
             # A little less than the period, or a camera of the same rate would lose every other frame to jitter.
             await asyncio.sleep(max(0.0, began + 0.8 * period - asyncio.get_running_loop().time()))
 
@@ -94,6 +96,8 @@ class Perception:
         try:
             self._control.absorb()
             odom_from_base = self._control.odometry.at(frame.stamp)
+            if self.witness is not None:
+                self.witness(frame, odom_from_base)
             if self.model is None:
                 await self._learn_camera(frame)
             if self._control.recorder is not None:
@@ -109,16 +113,18 @@ class Perception:
         """The lens from the calibration file, else from the image circle found in the first frames."""
         self._first_frames.append(frame)
         settings = self._config.camera
+        fov = math.radians(settings.fov_deg)
         if settings.calibration is not None:
-            model = load_calibration(settings.calibration, math.radians(settings.fov_deg))
+            model = load_calibration(settings.calibration, fov)
         elif settings.radius is not None and settings.centre is not None:
             height, width = frame.grey().shape
-            fov = math.radians(settings.fov_deg)
             model = CameraModel.equidistant(width, height, fov, settings.radius, settings.centre)
         elif len(self._first_frames) < CIRCLE_FRAMES:
             return
         else:
-            model = await self._off_loop(find_lens, self._first_frames, math.radians(settings.fov_deg))
+            model = await self._off_loop(find_lens, self._first_frames, fov)
+        if settings.centre is not None:
+            model = replace(model, cx=settings.centre[0], cy=settings.centre[1])
         self.model = replace(model, mount_yaw=settings.mount_yaw, tilt=settings.tilt)
         self.lens_known.set()
         self._first_frames = []
@@ -161,12 +167,18 @@ class Perception:
         if topo_map is None or model is None or request.dock not in topo_map.docks:
             return None
         if self._registration is None or self._registration[0] != request.dock:
-            snapshot = Frame(0.0, topo_map.docks[request.dock].snapshot)
-            self._registration = (request.dock, DockRegistration(model, snapshot, self._ceiling(topo_map)))
+            self._registration = (request.dock, self.lights_of(topo_map, topo_map.docks[request.dock], model))
         registration = self._registration[1]
         if request.dock_from_odom is None:
             return registration.fix(frame, odom_from_base)
         return registration.track(frame, odom_from_base, request.dock_from_odom @ odom_from_base)
+
+    def lights_of(self, topo_map: TopoMap, dock: Dock, model: CameraModel) -> Lights:
+        """What registers frames with all views of a dock, by the map's method; on the worker, for it takes its time."""
+        homing, ceiling = preset_of(topo_map).homing, self._ceiling(topo_map)
+        return Lights(
+            [Light(homing(model, Frame(0.0, view.jpeg), ceiling), view.dock_from_base) for view in dock.views]
+        )
 
     def _ceiling(self, topo_map: TopoMap) -> float:
         if self._config.docking.ceiling_height is not None:

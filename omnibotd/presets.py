@@ -10,16 +10,21 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol, cast
 
+from omnibotd.core.decision import Observation
+from omnibotd.core.docking.docker import Docker, DockingParameters, staging_pose
+from omnibotd.core.docking.registration import DockRegistration
 from omnibotd.core.errors import MapError
 from omnibotd.core.geometry import Pose2D
-from omnibotd.core.jobs import Job
+from omnibotd.core.jobs import DockingTrip, Job
 from omnibotd.core.mapping.drive import TeachingSample
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation.goal_filter import GoalFilter
 from omnibotd.core.navigation.localization import Localizer
 from omnibotd.core.navigation.navigator import Navigator, Tolerance
-from omnibotd.core.percept import PlaceEstimate
+from omnibotd.core.percept import HomingEstimate, PlaceEstimate
 from omnibotd.core.safety import Limits
+from omnibotd.core.thesis.docking import ThesisHoming
+from omnibotd.core.thesis.docking_controller import ThesisDocker, Vicinity
 from omnibotd.core.thesis.localizer import ThesisLocalizer
 from omnibotd.core.thesis.navigator import ThesisNavigator
 from omnibotd.core.vision.camera_model import CameraModel
@@ -34,6 +39,16 @@ class Locating(Protocol):
 
     def reset(self) -> None:
         """Forget where the robot was."""
+
+
+class Homing(Protocol):
+    """Says where the base stood, relative to a dock, when a frame was taken."""
+
+    def fix(self, frame: Frame, odom_from_base: Pose2D) -> HomingEstimate:
+        """From nothing. CoreError where the frame can't be used."""
+
+    def track(self, frame: Frame, odom_from_base: Pose2D, prior: Pose2D) -> HomingEstimate:
+        """From the dock_from_base expected. CoreError where the frame can't be used."""
 
 
 class Training(Protocol):
@@ -55,17 +70,62 @@ MakeNavigator = Callable[[TopoMap, Pose2D, GoalFilter, Limits, Tolerance, float,
 
 
 @dataclass(frozen=True, slots=True)
+class DockingTask:
+    """Where and how to dock. `goal_filter` has the pose in the map, None where it is not to be relied on; `glance`
+    looks, before the robot goes anywhere, whether it stands in the dock already."""
+
+    dock: str
+    map_from_dock: Pose2D
+    parameters: DockingParameters
+    goal_filter: GoalFilter | None = None
+    glance: Job | None = None
+
+
+# (a navigator to a pose, what is to be done)
+MakeDocking = Callable[[Callable[[Pose2D], Job], DockingTask], Job]
+
+
+@dataclass(frozen=True, slots=True)
 class Preset:
-    """The parts of one method; `trainer` is MODULE:FUNCTION, loaded only where training happens."""
+    """The parts of one method; `trainer` is MODULE:FUNCTION, loaded only where training happens.
+
+    `homing` is made of the camera, the dock's snapshot and the metres from camera to ceiling.
+    """
 
     localizer: Callable[[TopoMap, CameraModel], Locating]
     navigator: MakeNavigator
     trainer: str
+    homing: Callable[[CameraModel, Frame, float], Homing]
+    docking: MakeDocking
+
+
+def _from_staging_pose(trip: Callable[[Pose2D], Job], task: DockingTask) -> Job:
+    """What has arrived at the staging pose knows where it is: the docker is told."""
+    docker = Docker(task.dock, task.parameters)
+
+    def staged(seen: Observation) -> None:
+        here = None if task.goal_filter is None else task.goal_filter.map_from_base
+        if here is not None:
+            docker.expect(task.map_from_dock.inverse() @ here @ seen.odom_from_base.inverse())
+
+    return DockingTrip(trip(staging_pose(task.map_from_dock)), docker, task.glance, staged)
+
+
+def _from_within_a_metre(trip: Callable[[Pose2D], Job], task: DockingTask) -> Job:
+    return DockingTrip(Vicinity(trip(task.map_from_dock)), ThesisDocker(task.dock, task.parameters), task.glance)
 
 
 PRESETS = {
-    "default": Preset(Localizer, Navigator, "omnibotd.core.mapping.training:train"),
-    "thesis": Preset(ThesisLocalizer, ThesisNavigator, "omnibotd.core.thesis.training:train_thesis"),
+    "default": Preset(
+        Localizer, Navigator, "omnibotd.core.mapping.training:train", DockRegistration, _from_staging_pose
+    ),
+    "thesis": Preset(
+        ThesisLocalizer,
+        ThesisNavigator,
+        "omnibotd.core.thesis.training:train_thesis",
+        ThesisHoming,
+        _from_within_a_metre,
+    ),
 }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping import snapshots
-from omnibotd.core.mapping.topo_map import Dock, EdgeKind, Edges, TopoMap
+from omnibotd.core.mapping.topo_map import Dock, DockView, EdgeKind, Edges, TopoMap
 from omnibotd.core.vision.view import RINGS, SECTORS
 
 
@@ -28,5 +28,5 @@ def made_map(name: str = "flat", nodes: int = 60, seed: int = 1) -> TopoMap:
         recordings=(f"{name}.0001.mcap", f"{name}.0002.mcap"),
         statistics={"quantization_error": 0.125},
         places={"desk": Pose2D(), "sofa": Pose2D((nodes - 1) * 0.1, 0.0, 3.0)},
-        docks={"home": Dock(Pose2D(1.0, 0.0), b"\xff\xd8" + rng.bytes(500) + b"\xff\xd9")},
+        docks={"home": Dock(Pose2D(1.0, 0.0), (DockView(b"\xff\xd8" + rng.bytes(500) + b"\xff\xd9"),))},
     )

@@ -110,7 +110,7 @@ def test_an_overlong_line_is_told_once_and_thrown_away_up_to_its_newline() -> No
 
 @pytest.mark.parametrize("name", list(ErrorName))
 def test_every_error_name_has_the_code_of_the_contract(name: ErrorName) -> None:
-    refused = {ErrorName.BUSY, ErrorName.EMERGENCY_STOP, ErrorName.NOT_PERMITTED}
+    refused = {ErrorName.BUSY, ErrorName.EMERGENCY_STOP, ErrorName.NOT_PERMITTED, ErrorName.NOT_DOCKED}
     expected = 4 if name in refused else {"CANCELLED": 130, "INVALID": -32602}.get(name, 1)
     assert RpcError.named(name, "why").code == expected
 

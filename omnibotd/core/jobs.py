@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from omnibotd.core.decision import Decision, Observation, Outcome
-from omnibotd.core.docking.docker import Docker
+from omnibotd.core.docking.states import State
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
@@ -20,6 +20,8 @@ from omnibotd.core.safety import Limits
 
 # Failures of the trip to the staging pose that are its own; a dead base is no staging trouble and keeps its name.
 _STAGING_FAILURES = {ErrorName.LOST, ErrorName.BLOCKED, ErrorName.NO_ROUTE, ErrorName.TIMEOUT}
+# How a look at the dock from where the robot stands may end without ending the trip.
+_NOT_THERE = {None, ErrorName.NOT_DOCKED, ErrorName.FAILED_TO_DETECT_DOCK}
 # So near (m) the dock itself is what the range sensor sees ahead.
 _CONTACT_WITHIN = 0.3
 
@@ -34,31 +36,56 @@ class Job(Protocol):
 class DockingTrip:
     """`goto` the staging pose, then dock (thesis §7.5: the two tiers as one whole).
 
-    A robot that the map can't place may still stand within sight of the dock, beside the floor that was driven: it
-    looks for the dock from where it is before it would drive about in search, and before the trip counts as failed.
+    A robot that may stand in the dock already looks before it goes anywhere: turning round in a dock, or leaving it to
+    come back, helps nobody. One that the map can't place may still stand within sight of the dock, beside the floor
+    that was driven: it looks for the dock from where it is before it would drive about in search, and before the trip
+    counts as failed.
     """
 
-    def __init__(self, navigator: Job, docker: Docker) -> None:
+    def __init__(
+        self,
+        navigator: Job,
+        docker: Job,
+        glance: Job | None = None,
+        staged: Callable[[Observation], None] = lambda seen: None,
+    ) -> None:
+        """`glance` ends without an error where the robot is in the dock, as DOCKED where it charges there; `staged`
+        hears when the staging pose is reached."""
+        self._glance = glance
         self._navigator: Job | None = navigator
         self._docker = docker
+        self._hear_staged = staged
         self._unstaged: Outcome | None = None
 
     def step(self, seen: Observation) -> Decision:
+        if self._glance is not None:
+            return self._glanced(self._glance, seen)
         if self._navigator is None:
             return self._dock(seen)
         decision = self._navigator.step(seen)
         if decision.state == SearchState.SEARCHING and decision.outcome is None:
             lost = Outcome(ErrorName.LOST, "not recognised from here")
             decision = replace(decision, twist=STOP, outcome=lost)
-        return self._staged(replace(decision, state="NAV_TO_STAGING_POSE"))
+        return self._staged(replace(decision, state="NAV_TO_STAGING_POSE"), seen)
 
-    def _staged(self, decision: Decision) -> Decision:
+    def _glanced(self, glance: Job, seen: Observation) -> Decision:
+        decision = glance.step(seen)
+        if decision.outcome is None or decision.outcome.error not in _NOT_THERE or decision.state == State.DOCKED:
+            return decision
+        self._glance = None
+        if decision.outcome.error is None:
+            self._navigator = None
+        return replace(decision, outcome=None)
+
+    def _staged(self, decision: Decision, seen: Observation) -> Decision:
         outcome = decision.outcome
         if outcome is None:
             return decision
         if outcome.error in _STAGING_FAILURES:
             message = f"did not reach the staging pose: {outcome.error}, {outcome.message}"
             self._unstaged = Outcome(ErrorName.FAILED_TO_STAGE, message, outcome.report)
+        if outcome.error is None:
+            self._hear_staged(seen)
         if outcome.error in (None, ErrorName.LOST):
             self._navigator = None
             return replace(decision, outcome=None)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from omnibotd import __version__
 from omnibotd.core.geometry import Pose2D
-from omnibotd.core.mapping.topo_map import Dock, TopoMap
+from omnibotd.core.mapping.topo_map import Dock, DockView, TopoMap
 from omnibotd.io.map_arrays import DAMAGED, LAYOUTS, MapFormatError, restored, stored
 
 __all__ = ["VERSION", "MapFormatError", "Section", "decode", "encode", "nodes", "read_header", "read_section"]
@@ -77,7 +77,11 @@ def _info(topo_map: TopoMap) -> dict[str, Any]:
 
 def _docks(topo_map: TopoMap) -> dict[str, Any]:
     return {
-        name: {"pose": _triple(dock.map_from_dock), "snapshot": dock.snapshot} for name, dock in topo_map.docks.items()
+        name: {
+            "pose": _triple(dock.map_from_dock),
+            "views": [{"pose": _triple(view.dock_from_base), "snapshot": view.jpeg} for view in dock.views],
+        }
+        for name, dock in topo_map.docks.items()
     }
 
 
@@ -243,9 +247,23 @@ def _facts(info: dict[str, Any]) -> dict[str, Any]:
 
 def _dock_table(docks: dict[str, Any]) -> dict[str, Dock]:
     try:
-        return {str(name): Dock(_pose(dock["pose"]), bytes(dock["snapshot"])) for name, dock in docks.items()}
-    except (KeyError, TypeError, ValueError) as error:
+        return {str(name): Dock(_pose(dock["pose"]), _views(dock)) for name, dock in docks.items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise MapFormatError("docks", f"an entry is malformed ({error!r}); {DAMAGED}") from error
+
+
+def _views(dock: dict[str, Any]) -> tuple[DockView, ...]:
+    """At least one; the dock of an older file has a single view, taken at its pose."""
+    views = dock.get("views", [{"pose": (0.0, 0.0, 0.0), "snapshot": dock.get("snapshot")}])
+    if not views:
+        raise ValueError("a dock without a view")
+    return tuple(DockView(_picture(view["snapshot"]), _pose(view["pose"])) for view in views)
+
+
+def _picture(value: Any) -> bytes:
+    if not isinstance(value, bytes):
+        raise TypeError("a snapshot that is no picture")
+    return value
 
 
 def _pose(triple: Any) -> Pose2D:

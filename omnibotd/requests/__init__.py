@@ -7,6 +7,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
+from omnibotd.calibrations import CalibrationError
 from omnibotd.control import Feedback
 from omnibotd.control_protocol import METHOD_NOT_FOUND, RpcError
 from omnibotd.core.error_name import ErrorName
@@ -15,14 +16,20 @@ from omnibotd.io.control_server import Session
 from omnibotd.io.map_store import MapStoreError
 from omnibotd.io.recorder import Recorder
 from omnibotd.io.recording import RecordingError
+from omnibotd.lens_fitting import LensFitter, fit_in_child
+from omnibotd.requests.calibrating import Calibrating
+from omnibotd.requests.dock_views import DockViews
+from omnibotd.requests.docking import Docking
 from omnibotd.requests.driving import Driving
 from omnibotd.requests.failures import Failures
 from omnibotd.requests.jobs import Jobs
+from omnibotd.requests.lens import LensCalibration
 from omnibotd.requests.map_files import MapFiles
 from omnibotd.requests.maps import Maps, Pruner
 from omnibotd.requests.params import Params
 from omnibotd.requests.places import Places
 from omnibotd.requests.robot import Robot
+from omnibotd.requests.running import Runner
 from omnibotd.requests.status import Status
 from omnibotd.requests.teaching import Teaching, Trainer
 from omnibotd.requests.trail import Trail
@@ -32,11 +39,18 @@ class Requests:
     """Answers requests; long ones when their job has ended."""
 
     def __init__(
-        self, robot: Robot, trainer: Trainer, pruner: Pruner, open_recorder: Callable[[Path], Recorder]
+        self,
+        robot: Robot,
+        trainer: Trainer,
+        pruner: Pruner,
+        open_recorder: Callable[[Path], Recorder],
+        fit_lens: LensFitter = fit_in_child,
     ) -> None:
         self.teaching = Teaching(robot, trainer, open_recorder)
         self.trail = Trail(robot)
         failures = Failures(robot)
+        runner = Runner(robot, failures)
+        docking = Docking(robot, runner)
         groups = (
             Status(robot, self.teaching, failures),
             Driving(robot, self.teaching),
@@ -44,7 +58,11 @@ class Requests:
             Maps(robot, self.teaching, self.trail, pruner),
             MapFiles(robot),
             Places(robot),
-            Jobs(robot, failures),
+            Jobs(robot, runner),
+            docking,
+            DockViews(robot, docking),
+            Calibrating(robot, runner),
+            LensCalibration(robot, runner, fit_lens),
         )
         self._tasks: set[asyncio.Task[dict[str, Any]]] = set()
         self._methods = {name: method for group in groups for name, method in group.methods().items()}
@@ -59,7 +77,7 @@ class Requests:
             raise RpcError(METHOD_NOT_FOUND, ErrorName.INVALID, f"no method {method!r}; there are {known}")
         try:
             return await self._whole(answer(Params(params), session, feedback))
-        except (MapStoreError, RecordingError) as error:
+        except (MapStoreError, RecordingError, CalibrationError) as error:
             raise RpcError.named(ErrorName.STORAGE, str(error)) from error
         except CoreError as error:
             raise RpcError.named(ErrorName.NO_MAP, str(error)) from error

@@ -1,7 +1,8 @@
-"""Named places of the active map."""
+"""Named places of the active map; its docks are places, too."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from omnibotd.control import Feedback
@@ -47,25 +48,41 @@ class Places:
     async def _place_rename(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         old, new = params.name("name"), params.name("to")
         params.end()
+        self._refuse_if_docking(old)
         await self._robot.edit(lambda topo_map: _renamed(topo_map, old, new))
-        return {"name": new, "pose": pose_values(self._robot.active_map().places[new])}
+        topo_map = self._robot.active_map()
+        pose = topo_map.places[new] if new in topo_map.places else topo_map.docks[new].map_from_dock
+        return {"name": new, "pose": pose_values(pose)}
 
     async def _place_delete(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         name = params.name("name")
         params.end()
-        await self._robot.edit(lambda topo_map: _known(topo_map, name).without_place(name))
+        self._refuse_if_docking(name)
+        await self._robot.edit(lambda topo_map: _without(topo_map, name))
         return {}
 
+    def _refuse_if_docking(self, name: str) -> None:
+        """A job that docks asks for its dock by name, to its end."""
+        if name not in self._robot.active_map().places:
+            self._robot.refuse_if_busy()
 
-def _known(topo_map: TopoMap, name: str) -> TopoMap:
-    if name not in topo_map.places:
-        known = ", ".join(sorted(topo_map.places)) or "none"
-        raise RpcError.named(ErrorName.NO_SUCH_PLACE, f"no place {name!r}; places of this map: {known}")
-    return topo_map
+
+def _without(topo_map: TopoMap, name: str) -> TopoMap:
+    """The map without the place, or without the dock where no place has the name."""
+    if name in topo_map.places:
+        return topo_map.without_place(name)
+    if name not in topo_map.docks:
+        known = ", ".join(sorted({*topo_map.places, *topo_map.docks})) or "none"
+        raise RpcError.named(ErrorName.NO_SUCH_PLACE, f"no place {name!r}; places and docks of this map: {known}")
+    return replace(topo_map, docks={key: dock for key, dock in topo_map.docks.items() if key != name})
 
 
 def _renamed(topo_map: TopoMap, old: str, new: str) -> TopoMap:
-    pose = _known(topo_map, old).places[old]
-    if new in topo_map.places:
-        raise invalid(f"to: there is a place {new!r} already; delete it first, or choose another name")
-    return topo_map.without_place(old).with_place(new, pose)
+    without = _without(topo_map, old)
+    if old in topo_map.places:
+        if new in topo_map.places:
+            raise invalid(f"to: there is a place {new!r} already; delete it first, or choose another name")
+        return without.with_place(new, topo_map.places[old])
+    if new in topo_map.docks:
+        raise invalid(f"to: there is a dock {new!r} already; delete it first, or choose another name")
+    return without.with_dock(new, topo_map.docks[old])

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from omnibotd.calibrations import Calibrations
 from omnibotd.config import Config
 from omnibotd.control import ControlLoop, Feedback
 from omnibotd.control_protocol import RpcError
@@ -44,6 +45,7 @@ class Robot:
     camera: Camera
     store: MapStore
     off_loop: OffLoop
+    calibrations: Calibrations | None = None
     editing: asyncio.Lock = field(default_factory=asyncio.Lock)
     goals: tuple[Pose2D, ...] = ()
     stops: int = 0
@@ -75,13 +77,24 @@ class Robot:
         return self.perception.topo_map
 
     def sure_pose(self, what: str) -> Pose2D:
-        place, pose = self.control.place, self.control.map_from_base
-        if place is None or pose is None or place.confidence < SURE:
-            confidence = place.confidence if place else 0.0
+        pose = self.known_pose()
+        if pose is None:
+            confidence = self.control.place.confidence if self.control.place else 0.0
             raise RpcError.named(
                 ErrorName.LOST, f"{what} not saved: the robot is not sure where it is ({confidence:.2f})"
             )
         return pose
+
+    def known_pose(self) -> Pose2D | None:
+        """Where the robot is in the map, None while that is not sure."""
+        place = self.control.place
+        return self.control.map_from_base if place is not None and place.confidence >= SURE else None
+
+    def stored(self) -> Calibrations:
+        """Where results of calibrations are kept."""
+        if self.calibrations is None:
+            raise RpcError.named(ErrorName.STORAGE, "this daemon keeps no calibrations")
+        return self.calibrations
 
     def is_active(self, name: str) -> bool:
         return self.perception.topo_map is not None and self.perception.topo_map.name == name

@@ -52,6 +52,7 @@ class Status:
             "last_failure": self._failures.last,
             "base": self._base_status(),
             "camera": self._camera_status(now),
+            "calibrations": self._robot.calibrations.status() if self._robot.calibrations else [],
             "loop": self._loop_status(),
             "memory_mb": _resident_mb(),
         }
@@ -92,11 +93,12 @@ class Status:
         }
 
     def _named_place(self, here: Pose2D | None) -> str | None:
-        """The named place the robot stands at, within half a metre."""
+        """The named place or dock the robot stands at, within half a metre."""
         topo_map = self._robot.perception.topo_map
-        if here is None or topo_map is None or not topo_map.places:
+        if here is None or topo_map is None or not (topo_map.places or topo_map.docks):
             return None
-        name, pose = min(topo_map.places.items(), key=lambda item: item[1].distance(here))
+        docks = {name: dock.map_from_dock for name, dock in topo_map.docks.items()}
+        name, pose = min({**docks, **topo_map.places}.items(), key=lambda item: item[1].distance(here))
         return name if pose.distance(here) < 0.5 else None
 
 

@@ -1,13 +1,11 @@
 """Jobs made of jobs: staging and docking, rounds, and a search by itself."""
 
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 import numpy as np
 import pytest
 
 from omnibotd.core.decision import Decision, Observation, Outcome
-from omnibotd.core.docking.docker import Docker
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D
 from omnibotd.core.jobs import DockingTrip, Relocalisation, Rounds
@@ -39,7 +37,7 @@ class Scripted:
 
 def end_of(staging: Outcome, docking: Outcome) -> tuple[Outcome, Scripted]:
     navigator, docker = Scripted(staging), Scripted(docking)
-    trip = DockingTrip(navigator, cast(Docker, docker))
+    trip = DockingTrip(navigator, docker)
     for _ in range(5):
         decision = trip.step(SEEN)
         if decision.outcome is not None:
@@ -78,7 +76,7 @@ def test_other_failures_of_staging_end_the_trip(error: ErrorName, told: ErrorNam
 
 def test_instead_of_driving_about_in_search_it_looks_for_the_dock() -> None:
     navigator = Scripted(failed(ErrorName.LOST), Decision("SEARCHING", Twist2D(0.1, 0.0)))
-    trip = DockingTrip(navigator, cast(Docker, Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK))))
+    trip = DockingTrip(navigator, Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK)))
     decisions = [trip.step(SEEN) for _ in range(3)]
     assert decisions[0].twist == STOP
     assert len(navigator.steps) == 1
@@ -86,10 +84,48 @@ def test_instead_of_driving_about_in_search_it_looks_for_the_dock() -> None:
     assert decisions[-1].outcome.error is ErrorName.FAILED_TO_STAGE
 
 
+@pytest.mark.parametrize("error", [ErrorName.NOT_DOCKED, ErrorName.FAILED_TO_DETECT_DOCK])
+def test_a_robot_that_is_not_in_the_dock_goes_to_the_staging_pose_first(error: ErrorName) -> None:
+    navigator, docker, staged = Scripted(DONE), Scripted(DONE), []
+    trip = DockingTrip(navigator, docker, Scripted(failed(error)), staged.append)
+    decisions = [trip.step(SEEN) for _ in range(6)]
+    assert [len(job.steps) for job in (navigator, docker)] == [2, 2]
+    assert staged == [SEEN]
+    assert [d.outcome for d in decisions] == [None] * 5 + [DONE]
+
+
+def test_a_robot_in_the_dock_goes_nowhere_first() -> None:
+    navigator, docker, staged = Scripted(DONE), Scripted(DONE), []
+    trip = DockingTrip(navigator, docker, Scripted(DONE), staged.append)
+    decisions = [trip.step(SEEN) for _ in range(4)]
+    assert (len(navigator.steps), len(docker.steps), staged) == (0, 2, [])
+    assert decisions[-1].outcome == DONE
+
+
+def test_a_robot_that_charges_in_the_dock_is_done() -> None:
+    navigator, docker = Scripted(DONE), Scripted(DONE)
+    trip = DockingTrip(navigator, docker, Scripted(DONE, Decision("DOCKED")))
+    assert [trip.step(SEEN).outcome for _ in range(2)] == [None, DONE]
+    assert (len(navigator.steps), len(docker.steps)) == (0, 0)
+
+
+def test_danger_while_it_looks_ends_the_trip() -> None:
+    trip = DockingTrip(Scripted(DONE), Scripted(DONE), Scripted(failed(ErrorName.EMERGENCY_STOP)))
+    assert [trip.step(SEEN).outcome for _ in range(2)] == [None, failed(ErrorName.EMERGENCY_STOP)]
+
+
+def test_a_trip_that_lost_its_way_is_not_staged() -> None:
+    staged: list[Observation] = []
+    trip = DockingTrip(Scripted(failed(ErrorName.LOST)), Scripted(DONE), None, staged.append)
+    for _ in range(4):
+        trip.step(SEEN)
+    assert staged == []
+
+
 @pytest.mark.parametrize(("left", "expected"), [(None, False), (0.5, False), (0.2, True), (0.0, True)])
 def test_only_near_the_dock_contact_is_expected(left: float | None, expected: bool) -> None:
     docker = Scripted(DONE, Decision("CONTROLLING", distance_remaining=left))
-    trip = DockingTrip(Scripted(DONE, Decision("FOLLOWING", distance_remaining=0.1)), cast(Docker, docker))
+    trip = DockingTrip(Scripted(DONE, Decision("FOLLOWING", distance_remaining=0.1)), docker)
     assert [trip.step(SEEN).contact_expected for _ in range(3)] == [False, False, expected]
 
 

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from omnibotd.core.geometry import Pose2D
-from omnibotd.core.mapping.topo_map import Dock, Edges, TopoMap
+from omnibotd.core.mapping.topo_map import Dock, DockView, Edges, TopoMap
+from omnibotd.io import map_format
 from omnibotd.io.map_store import MapStore, MapStoreError
 
 ARRAYS = ("codebook", "units", "snapshots", "poses", "sessions")
@@ -32,6 +33,7 @@ def made_map(name: str = "flat", nodes: int = 60, links: int = 90, seed: int = 1
     edges = Edges(
         first=first[order].astype(np.int32), second=second[order].astype(np.int32), kind=kind[order].astype(np.uint8)
     )
+    views = (DockView(b"\xff\xd8" + rng.bytes(500)), DockView(rng.bytes(300), Pose2D(0.002, -0.001, 0.01)))
     return TopoMap(
         name=name,
         codebook=rng.normal(size=(16, 24)).astype(np.float16).astype(np.float32),
@@ -46,7 +48,7 @@ def made_map(name: str = "flat", nodes: int = 60, links: int = 90, seed: int = 1
         camera={"fov_deg": 190.0, "width": 640.0},
         statistics={"quantization_error": 0.123456789},
         places={"Küche": Pose2D(1.25, -3.5, 3.0), "desk": Pose2D()},
-        docks={"home": Dock(Pose2D(0.1, 0.2, -1.5), b"\xff\xd8" + rng.bytes(500) + b"\xff\xd9")},
+        docks={"home": Dock(Pose2D(0.1, 0.2, -1.5), views)},
     )
 
 
@@ -72,6 +74,40 @@ def file(store: MapStore, tmp_path: Path) -> Path:
     """A saved map's file."""
     store.save(made_map())
     return tmp_path / "deep" / "store" / "flat.omap"
+
+
+def older_docks(topo_map: TopoMap) -> dict[str, Any]:
+    """As they were written before docks had several views."""
+    return {
+        name: {"pose": [dock.map_from_dock.x, dock.map_from_dock.y, dock.map_from_dock.yaw], "snapshot": b"\xff\xd8old"}
+        for name, dock in topo_map.docks.items()
+    }
+
+
+def test_docks_of_an_older_file_have_one_view(store: MapStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as older:
+        older.setattr(map_format, "_docks", older_docks)
+        store.save(made_map())
+    expected = Dock(Pose2D(0.1, 0.2, -1.5), (DockView(b"\xff\xd8old"),))
+    assert store.load("flat").docks == {"home": expected}
+
+
+@pytest.mark.parametrize(
+    "dock",
+    [
+        {"pose": [0, 0, 0]},
+        {"pose": [0, 0, 0], "views": []},
+        {"pose": [0, 0, 0], "views": [{"pose": [0, 0, 0], "snapshot": "text"}]},
+        {"pose": [0, 0, 0], "views": [{"pose": [0, 0], "snapshot": b"x"}]},
+        {"pose": [0, 0, 0], "views": 7},
+        {"pose": [0, 0, 0], "views": [7]},
+        7,
+    ],
+)
+def test_a_malformed_dock_is_damage(store: MapStore, monkeypatch: pytest.MonkeyPatch, dock: object) -> None:
+    monkeypatch.setattr(map_format, "_docks", lambda topo_map: {"home": dock})
+    with pytest.raises(MapStoreError, match="section 'docks'"):
+        store.save(made_map())
 
 
 @pytest.mark.parametrize(

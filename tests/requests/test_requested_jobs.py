@@ -16,7 +16,7 @@ from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.presets import preset_of
-from omnibotd.requests import jobs
+from omnibotd.requests import jobs, running
 from tests.empty_hall import EmptyHall
 from tests.made_maps import made_map
 from tools.sim import virtual_time
@@ -45,7 +45,7 @@ class Walker:
 @pytest.fixture(autouse=True)
 def walkers(monkeypatch: pytest.MonkeyPatch) -> type[Walker]:
     Walker.endings = []
-    monkeypatch.setattr(jobs, "preset_of", lambda topo_map: replace(preset_of(topo_map), navigator=Walker))
+    monkeypatch.setattr(running, "preset_of", lambda topo_map: replace(preset_of(topo_map), navigator=Walker))
     return Walker
 
 

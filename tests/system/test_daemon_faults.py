@@ -148,7 +148,7 @@ def test_a_place_is_only_saved_when_the_robot_is_sure_and_survives_a_new_trainin
                 with pytest.raises(RpcError) as refused:
                     await robot.call("place.add", **bad)
                 assert refused.value.code == -32602
-            with pytest.raises(RpcError, match="places of this map: here"):
+            with pytest.raises(RpcError, match="places and docks of this map: here"):
                 await robot.call("goto", place="nowhere")
 
     virtual_time.run(main())

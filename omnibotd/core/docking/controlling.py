@@ -7,17 +7,22 @@ from enum import Enum, auto
 
 from omnibotd.core.decision import Observation
 from omnibotd.core.docking.approach import Limits, SmoothApproach, Trim
+from omnibotd.core.docking.looking import at_contact
 from omnibotd.core.docking.sightings import Sightings, agree, dock_from_odom
 from omnibotd.core.docking.states import Action, Event
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D
 from omnibotd.core.percept import HomingEstimate, Verdict
 
-# The fix that confirms the end knows nothing of the way here: within this of it (m, rad).
-_CONFIRMATION, _CONFIRMATION_YAW = 0.03, math.radians(3.0)
+# The fix that confirms the end knows nothing of the way here: within this of it (m, rad). Both look at the same
+# picture, so that in the light of the snapshot they differ by less than a millimetre.
+_CONFIRMATION, _CONFIRMATION_YAW = 0.015, math.radians(1.0)
 # Odometry alone is good for this long (s) of driving; standing, five rejected looks in a row take about as long.
 _BLIND_TIME = 1.5
 # A bumper held this long is no touch in passing (s), a cliff sensor no mark on the floor.
 _BUMPED_TIME = 1.0
+# Some bases stop by themselves at the first touch of the contacts (Create 2) and heed nothing but backing out: wheels
+# that stand (m, rad) for so long (s) while they are told to turn.
+_STANDING, _STANDING_YAW, _DEAF_TIME = 0.001, math.radians(0.2), 1.0
 # From 1 m at any heading a run takes about 20 s; three times that is stuck.
 _TIME = 60.0
 # Moves a trim may take (three are usual), and fixes that may fail to confirm the end.
@@ -31,29 +36,63 @@ class _Phase(Enum):
     CONFIRM = auto()
 
 
-class Controlling:
-    """Drives to the dock; `step` returns an Event when the run is over."""
+class _Deafness:
+    """Seconds for which the base was told to move, and did not."""
 
-    def __init__(self, limits: Limits, sightings: Sightings, dock_from_odom: Pose2D, observation: Observation) -> None:
+    def __init__(self) -> None:
+        self._moved_to = Pose2D()
+        self._told = False
+        self.seconds = 0.0
+
+    def update(self, odom_from_base: Pose2D, dt: float) -> None:
+        """Call once a tick, first."""
+        if not agree(odom_from_base, self._moved_to, _STANDING, _STANDING_YAW):
+            self._moved_to, self.seconds = odom_from_base, 0.0
+        elif self._told:
+            self.seconds += dt
+
+    def told(self, twist: Twist2D) -> None:
+        """What the base is told now."""
+        self._told = twist != STOP
+
+
+class Controlling:
+    """Drives to the dock; `step` returns an Event when the run is over. `dock_from_odom` is the newest known."""
+
+    def __init__(
+        self,
+        limits: Limits,
+        sightings: Sightings,
+        dock_from_odom: Pose2D,
+        observation: Observation,
+        *,
+        map_sure: bool = False,
+    ) -> None:
+        """`map_sure`: a map that knows its pose has this dock here, so that no alias of it is to be feared."""
         self._limits = limits
         self._sightings = sightings
-        self._dock_from_odom = dock_from_odom
+        self._map_sure = map_sure
+        self.dock_from_odom = dock_from_odom
         self._approach = SmoothApproach(limits, dock_from_odom @ observation.odom_from_base)
         self._trim = Trim(limits)
         self._phase = _Phase.APPROACH
         self._started = self._seen = observation.stamp
         self._bumped: float | None = None
+        self._deafness = _Deafness()
         self._disagreements = 0
 
     def step(self, observation: Observation, dt: float) -> Action | Event:
         """`dt` is how long a command holds."""
-        over = self._over(observation)
-        if over is not None:
-            return over
+        self._deafness.update(observation.odom_from_base, dt)
+        result = self._over(observation) or self._go_on(observation, dt)
+        self._deafness.told(result.twist if isinstance(result, Action) else STOP)
+        return result
+
+    def _go_on(self, observation: Observation, dt: float) -> Action | Event:
         if self._phase is _Phase.CONFIRM:
             return self._confirm(observation)
         estimate = self._track(observation)
-        pose = self._dock_from_odom @ observation.odom_from_base
+        pose = self.dock_from_odom @ observation.odom_from_base
         if self._phase is _Phase.MEASURE:
             return self._measured(observation, pose, estimate)
         return self._action(pose, self._driven(pose, dt))
@@ -63,9 +102,12 @@ class Controlling:
         bumped = observation.bumper_left or observation.bumper_right or observation.cliff
         self._bumped = (self._bumped if self._bumped is not None else now) if bumped else None
         held = self._bumped is not None and now - self._bumped > _BUMPED_TIME
+        pose = self.dock_from_odom @ observation.odom_from_base
+        if self._deafness.seconds > _DEAF_TIME and at_contact(observation, pose):
+            return Event.CHARGING
         if held or now - self._started > _TIME or self._trim.rounds > _MAX_ROUNDS:
             # A base on its contact can be held short of the snapshot's pose by the dock itself.
-            return Event.CHARGING if observation.charging else Event.STUCK
+            return Event.CHARGING if at_contact(observation, pose) else Event.STUCK
         # Lifted wheels make odometry meaningless.
         return Event.DOUBTED if observation.wheel_drop or now - self._seen > _BLIND_TIME else None
 
@@ -75,7 +117,7 @@ class Controlling:
         if fresh is None or fresh.verdict is Verdict.REJECTED:
             return None
         self._seen = observation.stamp
-        self._dock_from_odom = dock_from_odom(fresh)
+        self.dock_from_odom = dock_from_odom(fresh)
         return fresh if self._sightings.at_rest(observation, fresh) else None
 
     def _driven(self, pose: Pose2D, dt: float) -> Twist2D:
@@ -96,10 +138,11 @@ class Controlling:
         return self._action(pose)
 
     def _confirm(self, observation: Observation) -> Action | Event:
-        pose = self._dock_from_odom @ observation.odom_from_base
+        pose = self.dock_from_odom @ observation.odom_from_base
         fix = self._sightings.take_at_rest(observation)
         if fix is not None:
-            if fix.verdict is not Verdict.REJECTED and self._confirms(fix, pose):
+            if self._confirms(fix, pose, observation):
+                self.dock_from_odom = dock_from_odom(fix)
                 return Event.CONFIRMED if observation.charging is None else Event.CONTACT_DUE
             self._seen = observation.stamp
             self._disagreements += 1
@@ -107,9 +150,11 @@ class Controlling:
                 return Event.DOUBTED
         return Action(STOP, self._sightings.ask(None), math.hypot(pose.x, pose.y))
 
-    @staticmethod
-    def _confirms(fix: HomingEstimate, pose: Pose2D) -> bool:
-        return agree(fix.dock_from_base, pose, _CONFIRMATION, _CONFIRMATION_YAW)
+    def _confirms(self, fix: HomingEstimate, pose: Pose2D, observation: Observation) -> bool:
+        """An ambiguous fix is enough where the map tells which dock it is, or the contact will."""
+        enough = fix.verdict is Verdict.ACCEPTED or self._map_sure or observation.charging is not None
+        near = agree(fix.dock_from_base, pose, _CONFIRMATION, _CONFIRMATION_YAW)
+        return near and enough and fix.verdict is not Verdict.REJECTED
 
     def _action(self, pose: Pose2D, twist: Twist2D = STOP) -> Action:
-        return Action(twist, self._sightings.ask(self._dock_from_odom), math.hypot(pose.x, pose.y))
+        return Action(twist, self._sightings.ask(self.dock_from_odom), math.hypot(pose.x, pose.y))

@@ -32,14 +32,19 @@ class Event(StrEnum):
     CONTACT_DUE = "there, contact expected"
     CHARGING = "charging"
     NOT_CHARGING = "no contact in time"
-    BACKED_OUT = "backed out"
+    BACKED_OUT = "back at the staging pose"
     EXHAUSTED = "no retry left"
     ABORTED = "base, camera or time gone"
 
 
 _ABORT = {Event.ABORTED: State.FAILED}
 TRANSITIONS: Mapping[State, Mapping[Event, State]] = {
-    State.INITIAL_PERCEPTION: {Event.LOCATED: State.CONTROLLING, Event.UNSEEN: State.RETRY, **_ABORT},
+    State.INITIAL_PERCEPTION: {
+        Event.LOCATED: State.CONTROLLING,
+        Event.CHARGING: State.DOCKED,
+        Event.UNSEEN: State.RETRY,
+        **_ABORT,
+    },
     State.CONTROLLING: {
         Event.CONFIRMED: State.DOCKED,
         Event.CONTACT_DUE: State.WAIT_FOR_CHARGE,

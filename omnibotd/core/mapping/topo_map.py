@@ -37,11 +37,19 @@ class Edges:
 
 
 @dataclass(frozen=True)
+class DockView:
+    """What the camera sees at a dock in one light (full-size JPEG), and where exactly the base stood then."""
+
+    jpeg: bytes
+    dock_from_base: Pose2D = field(default_factory=Pose2D)
+
+
+@dataclass(frozen=True)
 class Dock:
-    """A high-accuracy place: where the base stands when docked, and what the camera sees there (full-size JPEG)."""
+    """A high-accuracy place: where the base stands when docked, and how it looks there, oldest view first."""
 
     map_from_dock: Pose2D
-    snapshot: bytes
+    views: tuple[DockView, ...]
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ ABORTS = [
     ({"base_ok": False}, ErrorName.BASE_LINK_DOWN),
     ({"camera_ok": False}, ErrorName.CAMERA_DOWN),
     ({"emergency_stop": True}, ErrorName.EMERGENCY_STOP),
-    ({"stamp": 50.0 + 120.5}, ErrorName.TIMEOUT),
+    ({"stamp": 50.0 + 4 * 60.0 + 0.5}, ErrorName.TIMEOUT),
 ]
 
 
@@ -254,12 +254,38 @@ def test_a_lifted_robot_looks_again() -> None:
     assert stage.tick().state == State.INITIAL_PERCEPTION
 
 
-@pytest.mark.parametrize(("charging", "state"), [(None, State.RETRY), (False, State.RETRY), (True, State.DOCKED)])
-def test_held_by_its_bumper_it_retries_unless_it_charges(charging: bool | None, state: State) -> None:
+@pytest.mark.parametrize(
+    ("short_of_it", "charging", "state"),
+    [
+        (0.05, None, State.RETRY),
+        (0.05, False, State.RETRY),
+        (0.05, True, State.DOCKED),
+        (0.3, True, State.RETRY),  # on a cable, or at another charger
+    ],
+)
+def test_held_by_its_bumper_it_retries_unless_it_charges_at_the_dock(
+    short_of_it: float, charging: bool | None, state: State
+) -> None:
     stage = stage_in(State.CONTROLLING)
+    while stage.dock_from_base.x < -short_of_it:
+        stage.tick()
     stage.charging = charging
     stage.bend_observation = lambda observation: replace(observation, bumper_left=True)
     stage.until(state, seconds=2.0)
+
+
+@pytest.mark.parametrize(("short_of_it", "docked"), [(0.03, True), (0.3, False)])
+def test_a_base_that_stops_by_itself_once_it_charges_is_docked(short_of_it: float, docked: bool) -> None:
+    stage = stage_in(State.CONTROLLING)
+    while stage.dock_from_base.x < -short_of_it:
+        stage.tick()
+    stage.charging = True
+    stage._move = lambda decision, dt: None  # type: ignore[method-assign]
+    if docked:
+        stage.until(State.DOCKED, seconds=3.0)
+    else:
+        with pytest.raises(AssertionError, match="CONTROLLING"):
+            stage.until(State.DOCKED, seconds=10.0)
 
 
 def test_held_at_an_edge_it_retries() -> None:
@@ -308,12 +334,117 @@ def test_remaining_distance_falls_to_zero() -> None:
     assert remaining[-1] == 0.0
 
 
-def test_timeout_is_the_users() -> None:
-    stage = Stage(START, docker=Docker("home", DockingParameters(timeout=2.0)))
+def test_attempts_together_have_their_time() -> None:
+    stage = Stage(START, docker=Docker("home", DockingParameters(attempt_time=0.5)))
     decision = stage.until()
     assert decision.outcome is not None
     assert decision.outcome.error is ErrorName.TIMEOUT
     assert stage.stamp - 50.0 < 2.4
+
+
+def test_from_beside_the_staging_pose_a_retry_gets_back_to_it() -> None:
+    """Stuck half-way and off to the side: straight back would end beside the staging pose."""
+    stage = stage_in(State.CONTROLLING)
+    stage.dock_from_base = Pose2D(-0.35, 0.25, -0.6)
+    for _ in range(5):
+        stage.tick()
+    stage.bend_observation = lambda observation: replace(observation, bumper_left=True)
+    stage.until(State.RETRY, seconds=3.0)
+    stage.bend_observation = lambda observation: observation
+    stage.until(State.INITIAL_PERCEPTION, seconds=25.0)
+    assert stage.dock_from_base.distance(Pose2D(-0.5, 0.0)) < 0.1
+    assert abs(stage.dock_from_base.yaw) < math.radians(12.0)
+
+
+def test_out_of_the_dock_it_backs_straight_before_it_turns() -> None:
+    stage = stage_in(State.RETRY)
+    stage.dock_from_base = stage.dock_from_base @ Pose2D(0.0, 0.1, 0.0)  # nudged: odometry knows nothing of it
+    while stage.dock_from_base.x > -0.45:
+        decision = stage.tick()
+        assert decision.state == State.RETRY
+        assert abs(decision.twist.wz) < 0.1
+        assert decision.twist.vx < 0.0
+
+
+@pytest.mark.parametrize("charging", [None, True])
+def test_standing_in_the_dock_it_is_docked_without_a_move(charging: bool | None) -> None:
+    stage = Stage(Pose2D(0.002, -0.001, 0.002), charging=charging)
+    decision = stage.until()
+    assert decision.state == State.DOCKED
+    assert all(d.twist == STOP for d in stage.decisions)
+    assert decision.outcome is not None
+    assert decision.outcome.report["dock_x"] == pytest.approx(0.002)
+    assert stage.stamp - 50.0 < 4.0
+
+
+def test_pushed_well_into_its_dock_it_charges_and_stays() -> None:
+    stage = Stage(Pose2D(0.03, 0.02, 0.1), charging=True)
+    assert stage.until().state == State.DOCKED
+    assert all(d.twist == STOP for d in stage.decisions)
+
+
+def test_charging_on_a_cable_is_not_docked() -> None:
+    """It charges from the start, half a metre away: only at the dock that counts."""
+    stage = Stage(START, charging=True)
+    decision = stage.until()
+    assert decision.state == State.DOCKED
+    assert math.hypot(stage.dock_from_base.x, stage.dock_from_base.y) <= 0.004
+
+
+def ambiguous(estimate: HomingEstimate, full: bool) -> HomingEstimate:
+    return replace(estimate, verdict=Verdict.AMBIGUOUS) if full else estimate
+
+
+def test_a_view_that_stays_ambiguous_proves_no_dock_by_itself() -> None:
+    stage = Stage(START, bend_estimate=ambiguous)
+    decision = stage.until(seconds=300.0)
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.FAILED_TO_CONTROL
+    assert State.DOCKED not in {d.state for d in stage.decisions}
+
+
+@pytest.mark.parametrize("proof", ["contact", "map"])
+def test_an_ambiguous_view_is_enough_where_contact_or_map_tell(proof: str) -> None:
+    stage = Stage(START, bend_estimate=ambiguous)
+    if proof == "map":
+        stage.docker.expect(START @ Pose2D(0.05, -0.05, 0.1) @ stage.odom_from_base.inverse())
+        assert stage.until().state == State.DOCKED
+    else:
+        stage.charging = False
+        stage.until(State.WAIT_FOR_CHARGE)
+        stage.charging = True
+        assert stage.until().state == State.DOCKED
+
+
+def test_what_contradicts_a_sure_map_is_not_believed_however_sure_it_looks() -> None:
+    next_tile = Pose2D(0.6, 0.0, 0.0)
+    stage = Stage(START, bend_estimate=lambda e, full: replace(e, dock_from_base=next_tile @ e.dock_from_base))
+    stage.docker.expect(START @ stage.odom_from_base.inverse())
+    decision = stage.until()
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
+    assert decision.outcome.report["contradict_map"] > 0
+    assert all(d.twist == STOP for d in stage.decisions)
+
+
+def test_a_confirmation_that_is_a_few_centimetres_off_is_none() -> None:
+    def shifted(estimate: HomingEstimate, full: bool) -> HomingEstimate:
+        at_dock = math.hypot(estimate.dock_from_base.x, estimate.dock_from_base.y) < 0.02
+        moved = Pose2D(0.02, 0.0, 0.0) @ estimate.dock_from_base
+        return replace(estimate, dock_from_base=moved) if full and at_dock else estimate
+
+    stage = Stage(START, bend_estimate=shifted)
+    stage.until(seconds=300.0)
+    assert State.DOCKED not in {d.state for d in stage.decisions}
+
+
+@pytest.mark.parametrize("retries", [0, 1, 5])
+def test_retries_are_the_configured_number(retries: int) -> None:
+    stage = Stage(START, docker=Docker("home", DockingParameters(max_retries=retries)), charging=False)
+    decision = stage.until(seconds=60.0 * (retries + 1))
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.FAILED_TO_CHARGE
+    assert decision.recoveries == retries
 
 
 def test_staging_pose_is_half_a_metre_behind_the_dock_facing_it() -> None:

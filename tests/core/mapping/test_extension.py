@@ -11,7 +11,7 @@ import pytest
 from omnibotd.core.errors import TrainingError
 from omnibotd.core.geometry import Pose2D, wrap
 from omnibotd.core.mapping.extension import extend
-from omnibotd.core.mapping.topo_map import Dock, EdgeKind, TopoMap
+from omnibotd.core.mapping.topo_map import Dock, DockView, EdgeKind, TopoMap
 from omnibotd.core.mapping.training import train
 from omnibotd.core.navigation.localization import Localizer
 from tests.teaching import CAMERA, Drive, error, frame, waypoint_drive
@@ -35,7 +35,7 @@ def room() -> Room:
     drive = waypoint_drive(ceilings.tiles(11), seconds=50.0, half=1.0, seed=1)
     topo_map = train("room", drive.samples, CAMERA, progress=quiet)
     topo_map = topo_map.with_place("desk", Pose2D(0.3, 0.2, 1.0)).with_dock(
-        "home", Dock(Pose2D(0.1, 0.1, 0.0), b"jpeg")
+        "home", Dock(Pose2D(0.1, 0.1, 0.0), (DockView(b"jpeg"),))
     )
     return Room(drive.truth[0], topo_map)
 

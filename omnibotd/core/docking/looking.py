@@ -1,0 +1,77 @@
+"""Where does the base stand to the dock? Independent fixes from nothing, at rest, until enough of them agree."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+
+from omnibotd.core.decision import Observation
+from omnibotd.core.docking.sightings import Sightings, agree
+from omnibotd.core.docking.states import Action, Event
+from omnibotd.core.geometry import Pose2D
+from omnibotd.core.percept import HomingEstimate, Verdict
+
+# Independent fixes at rest agree within this before the robot moves (m, rad).
+_AGREEMENT, _AGREEMENT_YAW = 0.05, math.radians(5.0)
+# Two sure fixes that agree are enough, or four of which none is.
+_VOTES: Mapping[Verdict, int] = {Verdict.ACCEPTED: 2, Verdict.AMBIGUOUS: 1, Verdict.REJECTED: 0}
+_VOTES_NEEDED = 4
+# Twice the votes needed: older fixes say nothing new.
+_REMEMBERED_FIXES = 8
+# A map that is sure of its pose is right within a fraction of this (m, rad); the next tile of a ceiling is farther.
+_EXPECTED, _EXPECTED_YAW = 0.45, math.radians(30.0)
+# With the contact closed, nearer than this (m, rad) to the dock's pose is that dock.
+_CONTACT, _CONTACT_YAW = 0.1, math.radians(10.0)
+
+
+def as_expected(dock_from_base: Pose2D, expected: Pose2D | None) -> bool:
+    """Whether a fix can be true where the map expects the base at `expected`; anything can without a map."""
+    return expected is None or agree(dock_from_base, expected, _EXPECTED, _EXPECTED_YAW)
+
+
+def at_contact(observation: Observation, dock_from_base: Pose2D) -> bool:
+    """Whether the base charges, and at this dock."""
+    return bool(observation.charging) and agree(dock_from_base, Pose2D(), _CONTACT, _CONTACT_YAW)
+
+
+class Looking:
+    """One look; `step` until it returns an event. `located` is then the fix that decided, None where none did."""
+
+    def __init__(self, sightings: Sightings, began: float, patience: float, map_says: Pose2D | None) -> None:
+        """`patience` in seconds from `began`; `map_says` is the dock_from_odom that a sure map expects.
+
+        Fixes that contradict a sure map are aliases of the true one. One that agrees with it need not be sure itself.
+        """
+        self._sightings, self._end, self._map_says = sightings, began + patience, map_says
+        self._fixes: deque[HomingEstimate] = deque(maxlen=_REMEMBERED_FIXES)
+        self.located: HomingEstimate | None = None
+        self.seen: dict[str, float] = {"fixes": 0.0, "ambiguous": 0.0, "contradict_map": 0.0}
+
+    def step(self, observation: Observation) -> Event | Action:
+        """LOCATED, UNSEEN, CHARGING (LOCATED in the dock, on its contact), or what to ask next."""
+        fix = self._sightings.take_at_rest(observation)
+        if fix is not None and self._counts(fix) and self._votes(fix) >= _VOTES_NEEDED:
+            self.located = fix
+            return Event.CHARGING if at_contact(observation, fix.dock_from_base) else Event.LOCATED
+        if observation.stamp > self._end:
+            return Event.UNSEEN
+        return Action(homing=self._sightings.ask(None))
+
+    def _counts(self, fix: HomingEstimate) -> bool:
+        """Keeps a fix that may be true, and counts what came."""
+        expected = None if self._map_says is None else self._map_says @ fix.odom_from_base
+        alias = not as_expected(fix.dock_from_base, expected)
+        self.seen["fixes"] += 1.0
+        self.seen["ambiguous"] += fix.verdict is Verdict.AMBIGUOUS
+        self.seen["contradict_map"] += alias and fix.verdict is not Verdict.REJECTED
+        self.seen["score"], self.seen["margin"] = fix.score, fix.margin
+        if alias or fix.verdict is Verdict.REJECTED:
+            return False
+        self._fixes.append(fix)
+        return True
+
+    def _votes(self, fix: HomingEstimate) -> int:
+        pose = fix.dock_from_base
+        alike = [f for f in self._fixes if agree(f.dock_from_base, pose, _AGREEMENT, _AGREEMENT_YAW)]
+        return sum(_VOTES[f.verdict] if self._map_says is None else _VOTES[Verdict.ACCEPTED] for f in alike)
