@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from omnibotd.core.vision.camera_model import CameraModel
-from tools.sim.conditions import CONDITIONS, Stage, lens_of
+from tools.sim.conditions import CONDITIONS, DISTURBED, STANDING, Stage, expanded, lens_of
+from tools.sim.mounting import OFFSET, SHIFT, TILT, Tilted, tilted
 from tools.sim.painted_light import LIGHTS, PaintedLight
 from tools.sim.people import FROM_WALL, NEAREST, PACE, People
-from tools.sim.slope import ANGLE, Slope
+from tools.sim.slope import ANGLE, GENTLE, Slope
+from tools.sim.smudges import BLUR, COVERED, NOISE, Blur, Smudges
 from tools.sim.world_plugin import WorldError
 
 WIDTH, HEIGHT, RADIUS = 320, 240, 119.0
@@ -65,7 +67,9 @@ def test_without_conditions_the_world_is_itself() -> None:
     assert np.array_equal(stage.render(0.0, 0.0, 0.0, 0.0), room.render(0.0, 0.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("name", [name for name in CONDITIONS if name != "drift"])
+@pytest.mark.parametrize(
+    "name", [name for name in CONDITIONS if name not in ("drift", "offset", "gentle_slope", DISTURBED)]
+)
 def test_each_condition_shows_and_ends(name: str) -> None:
     image = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8), (0, 0), 3.0)
     room = Room()
@@ -76,7 +80,7 @@ def test_each_condition_shows_and_ends(name: str) -> None:
     assert seen.dtype == np.uint8
     assert seen.shape == image.shape
     assert np.abs(seen.astype(int) - room._image).mean() > 0.5
-    if name != "slope":
+    if name not in STANDING:
         stage.enter(())
         assert np.array_equal(stage.render(0.5, 0.3, 0.2, 4.0), room._image)
 
@@ -119,6 +123,13 @@ def test_a_slope_moves_the_zenith_against_the_leaning_in_the_world(yaw: float) -
     bearing = math.atan2(moved[0], -moved[1])  # of the zenith, from the robot's front
     still = _middle(slope(image, 0.0, 0.0, 0.0, 0.0)) - _middle(image)
     assert math.remainder(bearing + yaw - math.atan2(still[0], -still[1]), math.tau) == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_gentle_slope_is_a_fifth_of_a_slope() -> None:
+    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    cv2.circle(image, (round(CX), round(CY)), 9, (255, 255, 255), -1)
+    moved = _middle(Slope(LENS, 4, GENTLE)(image, 0.0, 0.0, 0.0, 0.0)) - _middle(image)
+    assert math.hypot(*moved) == pytest.approx(FOCAL * ANGLE / 5.0, abs=0.05)
 
 
 def test_a_slope_leaves_the_image_circle_where_it_is() -> None:
@@ -199,3 +210,64 @@ def test_night_is_dark_and_noisy() -> None:
 
 def test_drift_is_no_matter_of_pictures() -> None:
     assert np.array_equal(staged("drift").render(0.0, 0.0, 0.0, 0.0), disc(120))
+
+
+def test_a_tilted_camera_sees_the_zenith_where_its_calibration_says() -> None:
+    """The axis of a tilt (a, b) about top and left is (b, -a, 1): the zenith is b to its back and a to its left."""
+    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    cv2.circle(image, (160, 120), 9, (255, 255, 255), -1)
+    moved = _middle(Tilted(LENS)(image, 0.0, 0.0, 0.0, 0.0)) - _middle(image)
+    assert moved == pytest.approx((SHIFT[0] + FOCAL * TILT[0], SHIFT[1] + FOCAL * TILT[1]), abs=0.1)
+    assert tilted(LENS).project([0.0, 0.0, 1.0]) - (CX, CY) == pytest.approx(moved, abs=0.1)
+
+
+def test_a_tilted_camera_sees_a_mark_far_off_the_axis_where_its_calibration_says() -> None:
+    bearing, zenith = math.radians(130.0), math.radians(70.0)
+    image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    u, v = pixel(bearing, zenith)
+    cv2.circle(image, (round(u), round(v)), 5, (255, 255, 255), -1)
+    ray = LENS.unproject([round(u), round(v)])
+    assert _middle(Tilted(LENS)(image, 0.0, 0.0, 0.0, 0.0)) == pytest.approx(tilted(LENS).project(ray), abs=0.4)
+
+
+def test_the_image_circle_of_a_tilted_camera_stays() -> None:
+    assert _middle(Tilted(LENS)(disc(200), 0.0, 0.0, 0.0, 0.0)) == pytest.approx(_middle(disc(200)), abs=0.2)  # of 5 px
+
+
+@pytest.mark.parametrize("yaw", [0.0, math.pi / 2])
+def test_a_camera_off_the_axle_is_carried_round_by_the_base(yaw: float) -> None:
+    seen = []
+    room = Room()
+    room.render = lambda x, y, yaw, t: seen.append((x, y)) or disc(9)
+    Stage(room, lambda light: None, 1, ("offset",)).render(1.0, 2.0, yaw, 0.0)
+    ahead, left = OFFSET
+    assert seen[-1] == pytest.approx((1.0 + ahead, 2.0 + left) if yaw == 0.0 else (1.0 - left, 2.0 + ahead))
+    assert math.hypot(*OFFSET) == pytest.approx(0.02)
+
+
+def test_blur_widens_an_edge_and_keeps_the_noise() -> None:
+    image = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
+    image[:, WIDTH // 2 :] = 200
+    seen = Blur(LENS, 1)(image, 0.0, 0.0, 0.0, 0.0).astype(float)
+    # The steepest slope of a step of 100 through a Gaussian, per pixel.
+    steepest = np.diff(seen[:, 140:180].mean((0, 2))).max()
+    assert steepest == pytest.approx(100.0 * math.erf(0.5 / BLUR / math.sqrt(2.0)), rel=0.08)  # OpenCV cuts it at 4 px
+    assert seen[:, :100].std() == pytest.approx(math.hypot(NOISE, 1 / math.sqrt(12)), rel=0.1)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 3])
+def test_a_tenth_of_the_lens_is_covered(number: int) -> None:
+    smudges = Smudges(LENS, (1, number))
+    grey, black = (smudges(disc(value), 0.0, 0.0, 0.0, 0.0) for value in (255, 0))
+    inside = disc(1)[..., 0] == 1
+    # What a pixel still shows of the picture behind, which at a patch's soft edge is a part.
+    assert (grey.astype(int) - black)[inside].mean() == pytest.approx(255.0 * (1.0 - COVERED), abs=255.0 * 0.01)
+    assert np.array_equal(grey, smudges(disc(255), 1.0, 2.0, 3.0, 4.0))
+    assert not np.array_equal(grey, Smudges(LENS, (1, number + 1))(disc(255), 0.0, 0.0, 0.0, 0.0))
+
+
+def test_disturbed_is_one_light_after_the_other_and_what_always_holds() -> None:
+    runs = [expanded((DISTURBED,), number) for number in range(5)]
+    assert [names[0] for names in runs] == [*LIGHTS, next(iter(LIGHTS))]
+    assert {names[1:] for names in runs} == {("tilt", "offset", "gentle_slope", "blur", "occluded")}
+    assert expanded(("people", "sun")) == ("people", "sun")

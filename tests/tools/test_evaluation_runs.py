@@ -71,3 +71,27 @@ def test_drift_is_in_the_map_and_out_of_the_measure(tmp_path, kept) -> None:
     result = _evaluated(tmp_path, "goto", kept, "--runs", "2", "--condition", "drift")
     assert result["summary"]["results"] == {"ARRIVED": 2}
     assert result["summary"]["max_m"] < 0.15
+
+
+def test_docking_disturbed_by_a_robot_that_knows_its_camera(tmp_path, kept) -> None:
+    result = _evaluated(tmp_path, "dock", kept, "--runs", "2", "--condition", "disturbed", "--calibration", "known")
+    assert result["meta"]["axis"] == result["meta"]["true_axis"]
+    assert [run["condition"] for run in result["runs"]] == ["disturbed,half_lamps", "disturbed,lamps_off"]
+    docking = result["summary"]["docking"]
+    assert (docking["docked"], docking["false_docked"]) == (2, 0)
+    assert docking["max_m"] < 0.02
+    assert len(docking["by_condition"]) == 2
+
+
+def test_from_afar_is_from_elsewhere(tmp_path, kept) -> None:
+    result = _evaluated(tmp_path, "afar", kept, "--runs", "2", "--open")
+    for run in result["runs"]:
+        assert math.dist(run["start"][:2], run["goal"][:2]) > 0.1
+    assert result["summary"]["docking"]["docked"] == 2
+
+
+def test_the_thesis_docks_by_its_own_procedure(tmp_path, kept) -> None:
+    result = _evaluated(tmp_path, "dock", kept, "--runs", "1", "--open", "--preset", "thesis")
+    (run,) = result["runs"]
+    assert run["report"]["steps"] >= 1.0
+    assert run["result"] in ("DOCKED", "FAILED_TO_CONTROL", "FAILED_TO_DETECT_DOCK")

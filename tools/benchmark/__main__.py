@@ -1,4 +1,4 @@
-"""tools/bench: what a cycle costs, how that grows with the map, and what training the SOM takes, beside peers.
+"""tools/bench: what a cycle costs and how that grows with the map, what training and docking take, beside peers.
 
 One thread, one run, everything in turn, so that the ratios are fair; times are the thread's own processor time.
 """
@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 
 from omnibotd import __version__
-from tools.benchmark import cycle, rooms, scale, som_training
+from tools.benchmark import cycle, docking, rooms, scale, som_training
 from tools.benchmark.report import as_text
 
-PARTS = ("cycle", "scale", "som")
+PARTS = ("cycle", "scale", "som", "docking")
 EPILOG = """\
 Maps are made of rendered rooms of a tuning seed; those of more than 4000 nodes are as many rooms side by side, at the
 thesis' density of 250 nodes a square metre (100,000 nodes: 25 rooms).
@@ -62,6 +62,8 @@ def run(sizes: Sizes, parts: Sequence[str]) -> dict[str, Any]:
         result["scale"] = scale.measure(sizes.grown, sizes.per_room, sizes.frames, rounds, sizes.perceptions)
     if "som" in parts:
         result["som"] = som_training.measure(sizes.samples, sizes.epochs)
+    if "docking" in parts:
+        result["docking"] = docking.measure(sizes.frames, sizes.rounds)
     return result
 
 

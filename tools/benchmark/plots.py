@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tools.benchmark.cycle import DEFAULT
+from tools.benchmark.docking import FULL_FIX, TRACKING
 from tools.benchmark.scale import BRUTE_FORCE, BUCKETS, CYCLE
 
 INK, FAINT = "#20507a", "#b0b0b0"
@@ -17,7 +18,7 @@ INK, FAINT = "#20507a", "#b0b0b0"
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
     """One panel for each part that was measured."""
-    panels = {"cycle": (_contestants, _stages), "scale": (_growth,), "som": (_som,)}
+    panels = {"cycle": (_contestants, _stages), "scale": (_growth,), "som": (_som,), "docking": (_docking,)}
     wanted = [(draw_panel, result[part]) for part, drawn in panels.items() if part in result for draw_panel in drawn]
     figure = Figure(figsize=(5.5 * len(wanted), 4.2), layout="constrained")
     for axes, (draw_panel, part) in zip(figure.subplots(1, len(wanted), squeeze=False)[0], wanted, strict=True):
@@ -49,6 +50,14 @@ def _growth(axes: Axes, scale: Mapping[str, Any]) -> None:
         axes.loglog(sizes, times, marker="o", color=colour, linestyle=style, label=name)
     axes.set(xlabel="nodes", ylabel="ms", title="growth")
     axes.legend()
+
+
+def _docking(axes: Axes, docking: Mapping[str, Any]) -> None:
+    rows = docking["contestants"]
+    names = list(rows)[::-1]
+    colours = [INK if name in (TRACKING, FULL_FIX) else FAINT for name in names]
+    axes.barh(names, [rows[name]["of_decoding"] for name in names], color=colours)
+    axes.set(xscale="log", xlabel="times the grey decoding of the picture", title="a docking estimate")
 
 
 def _som(axes: Axes, som: Mapping[str, Any]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tools.benchmark.cycle import DECODING, DEFAULT, LITERAL, ORB
+from tools.benchmark.docking import FULL_FIX, MOST_FIX, MOST_TRACKING, TRACKING
 from tools.benchmark.scale import BRUTE_FORCE, BUCKETS, CYCLE
 
 Result = Mapping[str, Any]
@@ -14,7 +15,7 @@ _NAME = 58
 
 def as_text(result: Result) -> str:
     """Tables of what was measured."""
-    parts = {"cycle": _cycle, "scale": _scale, "som": _som}
+    parts = {"cycle": _cycle, "scale": _scale, "som": _som, "docking": _docking}
     return "\n".join(line for name, lines in parts.items() if name in result for line in lines(result[name]))
 
 
@@ -59,6 +60,22 @@ def _som(result: Result) -> Iterator[str]:
         times = f"{row['seconds']:9.3f}{row['of_ours']:9.1f}"
         errors = f"{row['quantisation_error']:14.3f}{row['topographic_error']:13.3f}"
         yield f"{name:{_NAME}}{times}{errors}{row['seeds']:7d}"
+
+
+def _docking(result: Result) -> Iterator[str]:
+    yield f"\nOne docking estimate from a picture of {result['jpeg_bytes'] / 1e3:.0f} KB, ms"
+    yield f"{'':{_NAME}}{'median':>9}{'least':>9}{'x decoding':>12}"
+    rows = result["contestants"]
+    for name, row in rows.items():
+        yield f"{name:{_NAME}}{row['median_ms']:9.3f}{row['minimum_ms']:9.3f}{row['of_decoding']:12.2f}"
+    for name, stages in result["stages"].items():
+        yield f"\nWhere it goes: {name} (watching adds a little)"
+        for stage, row in stages.items():
+            yield f"  {stage:{_NAME - 2}}{row['median_ms']:9.3f}{row['minimum_ms']:9.3f}"
+    yield ""
+    for name, most in ((TRACKING, MOST_TRACKING), (FULL_FIX, MOST_FIX)):
+        times = rows[name]["of_decoding"]
+        yield f"{name}: at most {most:.0f} x {DECODING}: {_word(times <= most)} ({times:.1f})"
 
 
 def _word(good: bool) -> str:

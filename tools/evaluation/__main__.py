@@ -9,27 +9,33 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
 
 from omnibotd import __version__
 from omnibotd.control_protocol import RpcError
-from tools.evaluation import carried, experiments
+from omnibotd.presets import PRESETS
+from tools.evaluation import axis, carried, docking, experiments
 from tools.evaluation.calibration import Calibration, Estimate
 from tools.evaluation.course import Course, Plan
+from tools.evaluation.docking import in_the_open
 from tools.evaluation.experiments import Experiment
 from tools.evaluation.lessons import Lesson, driven, taught_robot
 from tools.evaluation.options import SPEED, parse
+from tools.evaluation.orb_homing import OrbHoming
 from tools.evaluation.route import route
 from tools.evaluation.summary import Run, Summary, as_table, by_condition, recovery
 from tools.sim import virtual_time
-from tools.sim.conditions import STANDING, Stage
+from tools.sim.conditions import STANDING, Stage, expanded
 from tools.sim.teacher import NoWay
+from tools.sim.virtual_robot import somewhere
 from tools.sim.world_plugin import World, WorldError, load_world, relit_world
 
 EXPERIMENTS: dict[str, Experiment] = {
@@ -38,7 +44,8 @@ EXPERIMENTS: dict[str, Experiment] = {
     "route": route,
     "outside": carried.outside,
     "light": experiments.light,
-    "dock": experiments.dock,
+    "dock": docking.dock,
+    "afar": docking.afar,
     "starts": experiments.starts,
 }
 
@@ -50,11 +57,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     began = time.perf_counter()
     try:
         runs, estimates, meta = _evaluate(options)
-    except (WorldError, NoWay, RpcError) as error:
+    except (WorldError, NoWay, RpcError, axis.NotCalibrated) as error:
         print(f"evaluate: {error}", file=sys.stderr)
         return 1
     meta = _described(options) | meta | {"wall_s": time.perf_counter() - began}
-    result = {"meta": meta, "runs": [run.as_json() for run in runs], "summary": overview(runs, estimates)}
+    summary = overview(runs, estimates)
+    if options.experiment in experiments.AT_THE_DOCK:
+        summary["docking"] = docking.docking_summary(runs)
+    result = {"meta": meta, "runs": [run.as_json() for run in runs], "summary": summary}
     options.json.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
     if options.plot:
         from tools.evaluation.plots import draw_runs  # noqa: PLC0415 - matplotlib takes a second to load
@@ -78,12 +88,16 @@ def overview(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[str, ob
 
 def _evaluate(options: argparse.Namespace) -> tuple[list[Run], list[Estimate], dict[str, object]]:
     """Runs, the place estimates made meanwhile, and what there is to say of the teaching and the cost."""
-    standing = tuple(name for name in STANDING if name in options.condition)
+    standing = tuple(name for name in STANDING if name in expanded(options.condition))
     world = _world(options, load_world(options.world, options.seed))
-    stage = Stage(world, partial(_relit, options), options.seed, standing)
+    stage = Stage(world, partial(_relit, options), options.seed, standing, in_the_open(world) if options.open else None)
     how = {"preset": options.preset, "seconds": options.teach, "speed": SPEED[options.preset], "standing": standing}
+    how["axis"] = _axis(options, stage)
     lesson = experiments.lesson(options.experiment, stage, options.world, options.seed, **how)
     with ExitStack() as exits:
+        if options.homing == "orb":
+            peer = replace(PRESETS[options.preset], homing=OrbHoming)
+            exits.enter_context(mock.patch.dict(PRESETS, {options.preset: peer}))
         keep = options.keep or Path(exits.enter_context(TemporaryDirectory(prefix="omnibot-")))
         folder, reused = driven(lesson, stage, keep)
         return virtual_time.run(_experiment(options, lesson, stage, folder, reused))
@@ -92,13 +106,12 @@ def _evaluate(options: argparse.Namespace) -> tuple[list[Run], list[Estimate], d
 async def _experiment(
     options: argparse.Namespace, lesson: Lesson, stage: Stage, folder: Path, reused: tuple[str, ...]
 ) -> tuple[list[Run], list[Estimate], dict[str, object]]:
-    passing = tuple(name for name in options.condition if name not in STANDING)
     plan = Plan(options.runs, options.seed, tuple(options.condition))
     async with taught_robot(lesson, stage, folder, reused) as taught:
         nodes, kept = len(taught.topo_map), ", ".join(taught.reused)
         _report(f"taught {nodes} nodes in {lesson.seconds:.0f} s" + (f" (kept: {kept})" if kept else ""))
         course = Course(taught, stage, lesson.area, plan, _report)
-        course.enter(*passing)
+        course.enter()
         began = time.perf_counter()
         runs = await EXPERIMENTS[options.experiment](course)
         wall = time.perf_counter() - began
@@ -106,7 +119,18 @@ async def _experiment(
         cost = {"frames": frames, "virtual_s": seconds}
         pace = {"frames_per_s": frames / wall, "real_time_factor": seconds / wall}
         taught_as = {"nodes": nodes, "reused": list(taught.reused), "bounds": list(stage.bounds)}
+        if lesson.axis is not None:
+            taught_as |= {"axis": asdict(lesson.axis), "true_axis": asdict(axis.known(stage))}
         return runs, course.estimates, {**taught_as, **cost, **pace}
+
+
+def _axis(options: argparse.Namespace, stage: Stage) -> axis.Axis | None:
+    """What the robot is told of its camera before it is taught."""
+    if options.calibration == axis.NONE:
+        return None
+    if options.calibration == axis.KNOWN:
+        return axis.known(stage)
+    return virtual_time.run(axis.measured(stage, options.seed, somewhere(stage)))
 
 
 def _world(options: argparse.Namespace, world: World) -> World:
@@ -131,11 +155,22 @@ def _more(summary: dict[str, object]) -> dict[str, str]:
     """Rows for what the summary has beyond the contract."""
     calibration, again = summary["calibration"], summary.get("recovery")
     rows = {"expected calibration error": f"{calibration['error']:.3f}"}
+    if "docking" in summary:
+        rows |= _docked(summary["docking"])
     if again:
         rows["found itself again"] = f"{again['recovered']} of {again['n']}"
         rows["found itself after, median"] = "never" if again["median_s"] is None else f"{again['median_s']:.1f} s"
-    for name, part in summary.get("by_condition", {}).items():
+    parts = {} if "docking" in summary else summary.get("by_condition", {})
+    for name, part in parts.items():
         rows[f"{name}: median, within 0.15 m"] = f"{100 * part['median_m']:.1f} cm, {part['within']['0.15']:.1%}"
+    return rows
+
+
+def _docked(summary: dict[str, Any]) -> dict[str, str]:
+    rows = {f"docking, {name}": text for name, text in docking.figures(summary).items() if text}
+    for condition, part in summary.get("by_condition", {}).items():
+        shown = docking.figures(part)
+        rows[f"{condition}: docked"] = f"{shown['docked']}, {shown['mean']}"
     return rows
 
 
@@ -146,6 +181,9 @@ def _described(options: argparse.Namespace) -> dict[str, object]:
         "seed": options.seed,
         "teach_s": options.teach,
         "preset": options.preset,
+        "homing": options.homing,
+        "open": options.open,
+        "calibration": options.calibration,
         "conditions": list(options.condition),
         "omnibotd": __version__,
         "python": platform.python_version(),

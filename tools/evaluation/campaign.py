@@ -8,6 +8,8 @@ PLAN is a YAML list; each entry is a set of experiments. What it gives as a list
       condition: [nominal, "people,slope"]
       preset: [default, thesis]      # default: default
       teach: [300, 900]              # s; default: the preset's
+      homing: ["", orb]              # default: the preset's
+      open: [false, true]            # docks at the wall, in the middle of the room; default: false
       runs: 100
 
 Results already in the folder are kept, so that a table broken off can be continued; teaching is shared.
@@ -33,7 +35,7 @@ from tools.evaluation.options import TEACHING
 from tools.evaluation.tables import markdown
 
 _CHECKOUT = Path(__file__).resolve().parents[2]
-_KEYS = ("experiment", "world", "seed", "condition", "preset", "teach", "runs")
+_KEYS = ("experiment", "world", "seed", "condition", "preset", "teach", "runs", "homing", "open")
 
 
 class PlanError(Exception):
@@ -51,19 +53,23 @@ class Trial:
     preset: str
     teach: float
     runs: int
+    homing: str = ""
+    open: bool = False
 
     @property
     def name(self) -> str:
         """Of its files."""
         world = self.world.replace(":", ".")
         condition = self.condition.replace(",", "+")
-        return f"{self.experiment}-{world}-{self.seed}-{condition}-{self.preset}-{self.teach:g}-{self.runs}"
+        method = "-".join(filter(None, (self.preset, self.homing, "open" if self.open else "")))
+        return f"{self.experiment}-{world}-{self.seed}-{condition}-{method}-{self.teach:g}-{self.runs}"
 
     @property
     def arguments(self) -> list[str]:
         options = {"world": self.world, "seed": self.seed, "condition": self.condition, "preset": self.preset}
-        options |= {"teach": self.teach, "runs": self.runs}
-        return [self.experiment, *(text for key, value in options.items() for text in (f"--{key}", str(value)))]
+        options |= {"teach": self.teach, "runs": self.runs} | ({"homing": self.homing} if self.homing else {})
+        flags = ["--open"] if self.open else []
+        return [self.experiment, *flags, *(text for key, value in options.items() for text in (f"--{key}", str(value)))]
 
 
 def trials(plan: Any, teaching: Sequence[float] = ()) -> list[Trial]:
@@ -87,9 +93,10 @@ def _spread(number: int, entry: Any, teaching: Sequence[float]) -> Iterator[Tria
         seconds = teaching or many.get("teach", [TEACHING[preset]])
         seeds, conditions = many.get("seed", [1]), many.get("condition", ["nominal"])
         # Neighbours share their teaching.
-        choices = product(many["world"], seeds, seconds, many["experiment"], conditions, many["runs"])
-        for world, seed, teach, experiment, condition, runs in choices:
-            yield Trial(experiment, world, seed, condition, preset, float(teach), runs)
+        ways = many.get("open", [False]), many.get("homing", [""])
+        choices = product(many["world"], seeds, seconds, many["experiment"], conditions, many["runs"], *ways)
+        for world, seed, teach, experiment, condition, runs, in_the_open, homing in choices:
+            yield Trial(experiment, world, seed, condition, preset, float(teach), runs, homing, in_the_open)
 
 
 def run_all(todo: Sequence[Trial], out: Path, keep: Path, jobs: int) -> list[str]:

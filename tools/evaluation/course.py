@@ -17,7 +17,7 @@ from omnibotd.core.percept import PlaceEstimate
 from tools.evaluation.calibration import Estimate
 from tools.evaluation.lessons import Taught
 from tools.evaluation.summary import ARRIVED, Run
-from tools.sim.conditions import Stage
+from tools.sim.conditions import DISTURBED, Stage, expanded
 from tools.sim.teacher import CLEARANCE, TRIES, Area, NoWay, free_point
 
 RUN_LIMIT = 600.0  # s; the daemon gives up well before, so this only ends what hangs
@@ -46,24 +46,27 @@ class Course:
         self.estimates: list[Estimate] = []
         self._report, self._done, self._busy = report, 0, False
         self._condition = "nominal"
+        self.answer: dict[str, Any] = {}  # to the last request that succeeded
         self.robot.overhear(self._note)
 
-    def enter(self, *conditions: str) -> None:
-        """From now on these hold beside those of the plan."""
-        together = dict.fromkeys((*self.plan.conditions, *conditions))
-        self.stage.enter(together)
-        self._condition = ",".join(together) or "nominal"
+    def enter(self, *conditions: str, number: int = 0) -> None:
+        """From now on these hold beside those of the plan; `number` of the run, where its conditions change with it."""
+        together = tuple(dict.fromkeys((*self.plan.conditions, *conditions)))
+        holding = expanded(together, number)
+        self.stage.enter(holding, number)
+        own = (DISTURBED, *holding[:1]) if DISTURBED in together else together
+        self._condition = ",".join(own) or "nominal"
 
     async def goto(self, node: int) -> Run:
         """Go to the pose of a node; the goal is where it was taught."""
         pose = self.topo_map.pose(node)
         return await self.run(self.truth.node(node), ARRIVED, "goto", at=[pose.x, pose.y, pose.yaw])
 
-    async def run(self, goal: Pose2D, success: str, method: str, **params: Any) -> Run:
+    async def run(self, goal: Pose2D, success: str, method: str, *, limit: float = RUN_LIMIT, **params: Any) -> Run:
         """One job, from asking to standing still."""
         loop = asyncio.get_running_loop()
         start, began = self.robot.pose, loop.time()
-        error = await self.ask(method, RUN_LIMIT, **params)
+        error = await self.ask(method, limit, **params)
         seconds = loop.time() - began
         await asyncio.sleep(SETTLE)
         return self.ended(start, goal, seconds, error or success)
@@ -73,7 +76,7 @@ class Course:
         self._busy = True
         try:
             async with asyncio.timeout(limit):
-                await self.robot.daemon.call(method, params, feedback)
+                self.answer = await self.robot.daemon.call(method, params, feedback)
         except RpcError as error:
             return error
         except TimeoutError:
@@ -88,7 +91,7 @@ class Course:
         run = Run(start, goal, self.robot.pose, seconds, str(how), self._condition)
         if isinstance(how, RpcError):
             return replace(run, result=how.name.value, message=how.message, report=how.report)
-        return run
+        return replace(run, report=self.answer.get("report", {}))
 
     def tell(self, run: Run) -> Run:
         """Report a run that counts."""

@@ -1,4 +1,4 @@
-"""What is measured: a taught robot is sent to places of its map, or to its dock, again and again."""
+"""What is measured: a taught robot is sent to places of its map again and again."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from collections.abc import Awaitable, Callable
 from omnibotd.core.geometry import Pose2D
 from tools.evaluation.course import Course
 from tools.evaluation.lessons import Lesson
-from tools.evaluation.summary import DOCKED, Run
+from tools.evaluation.summary import Run
 from tools.sim.conditions import LIGHTS
-from tools.sim.teacher import NEAR_DOCK, Area, Teacher, free_point, save_dock
+from tools.sim.teacher import NEAR_DOCK, Area, free_point
 from tools.sim.virtual_robot import somewhere
 from tools.sim.world_plugin import World
 
-DOCK = "dock"
-DOCK_RADIUS = 1.0  # m round the dock from which docking starts
+AT_THE_DOCK = ("dock", "afar")
 
 Experiment = Callable[[Course], Awaitable[list[Run]]]
 
@@ -43,21 +42,10 @@ async def light(course: Course) -> list[Run]:
     return runs
 
 
-async def dock(course: Course) -> list[Run]:
-    """From random free poses within a metre of the dock, at any heading, to which the robot was carried."""
-    goal = Pose2D(*course.robot.world.dock)
-    await save_dock(course.robot, Teacher(course.robot, course.area, course.plan.seed), DOCK, goal)
-    runs: list[Run] = []
-    for _ in range(course.plan.runs):
-        await course.put(course.any_pose_where(lambda pose: pose.distance(goal) <= DOCK_RADIUS))
-        runs.append(course.tell(await course.run(goal, DOCKED, "dock", name=DOCK)))
-    return runs
-
-
 def lesson(experiment: str, world: World, name: str, seed: int, **how: object) -> Lesson:
-    """What the robot must be taught before the experiment; `how`: preset, seconds, speed, standing."""
+    """What the robot must be taught before the experiment; `how`: preset, seconds, speed, standing, axis."""
     rng = random.Random(seed)
-    if experiment == "dock":
+    if experiment in AT_THE_DOCK:
         goal = Pose2D(*world.dock)
         area = Area.to_teach(world, (goal.x, goal.y), margin=NEAR_DOCK)
         return Lesson(world=name, seed=seed, area=area, start=Pose2D(*free_point(world, area, rng)), park=goal, **how)

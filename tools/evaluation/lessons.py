@@ -23,11 +23,12 @@ import omnibotd
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.io.map_store import MapStore
+from tools.evaluation.axis import Axis, robot_with
 from tools.evaluation.map_truth import MapTruth, true_poses
 from tools.sim import track, virtual_time
 from tools.sim.conditions import DRIFT
 from tools.sim.teacher import Area, Teacher, record
-from tools.sim.virtual_robot import STORAGE, VirtualRobot, virtual_robot
+from tools.sim.virtual_robot import STORAGE, VirtualRobot
 from tools.sim.world_plugin import World, find_factory
 
 MAP = "evaluated"
@@ -37,7 +38,7 @@ _RECORDING, _TRACK, _LESSON, _NODES = "recording.mcap", "track.npz", "lesson.jso
 @dataclass(frozen=True)
 class Lesson:
     """What is taught: the world by name, for how many seconds at which speed (m/s), where, and under which standing
-    conditions. `park` is where the drive ends, None: anywhere."""
+    conditions. `park` is where the drive ends, None: anywhere; `axis` the calibration of the camera, None: none."""
 
     world: str
     seed: int
@@ -48,6 +49,7 @@ class Lesson:
     start: Pose2D
     park: Pose2D | None = None
     standing: tuple[str, ...] = ()
+    axis: Axis | None = None
 
     @property
     def key(self) -> str:
@@ -78,8 +80,8 @@ async def taught_robot(lesson: Lesson, world: World, folder: Path, reused: tuple
     with TemporaryDirectory(prefix="omnibot-") as place:
         store = MapStore(Path(place) / STORAGE)
         store.new_recording_path(MAP).symlink_to((folder / _RECORDING).resolve())
-        options = {"preset": lesson.preset, "wheel_error": lesson.wheel_error, "directory": Path(place)}
-        async with virtual_robot(world, lesson.seed, end, **options) as robot:
+        options = {"preset": lesson.preset, "wheel_error": lesson.wheel_error}
+        async with robot_with(lesson.axis, world, lesson.seed, end, Path(place), **options) as robot:
             with _alone(kept):
                 if (kept / _NODES).exists():
                     store.save(MapStore(kept).load(MAP))
@@ -106,12 +108,13 @@ def driven(lesson: Lesson, world: World, keep: Path) -> tuple[Path, tuple[str, .
 
 async def _drive(lesson: Lesson, world: World, folder: Path) -> None:
     options = {"preset": lesson.preset, "wheel_error": lesson.wheel_error}
-    async with virtual_robot(world, lesson.seed, lesson.start, **options) as robot:
-        teacher = Teacher(robot, lesson.area, lesson.seed, lesson.speed)
-        recording = await record(robot, teacher, MAP, lesson.seconds, lesson.park)
-        shutil.move(recording, folder / _RECORDING)
-        robot.track().save(folder / _TRACK)
-        end = [robot.pose.x, robot.pose.y, robot.pose.yaw]
+    with TemporaryDirectory(prefix="omnibot-") as place:
+        async with robot_with(lesson.axis, world, lesson.seed, lesson.start, Path(place), **options) as robot:
+            teacher = Teacher(robot, lesson.area, lesson.seed, lesson.speed)
+            recording = await record(robot, teacher, MAP, lesson.seconds, lesson.park)
+            shutil.move(recording, folder / _RECORDING)
+            robot.track().save(folder / _TRACK)
+            end = [robot.pose.x, robot.pose.y, robot.pose.yaw]
     # Last: it says that the rest is whole.
     (folder / _LESSON).write_text(json.dumps({"lesson": asdict(lesson), "end": end}, indent=1) + "\n", "utf-8")
 

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from tools.evaluation.summary import ELSEWHERE
 
@@ -21,7 +22,8 @@ mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.righ
 
 
 def draw_runs(result: Mapping[str, Any], path: Path) -> None:
-    """One experiment: error distribution, reliability diagram, top view with the failures marked."""
+    """One experiment: error distribution, reliability diagram (of docking: errors of the heading), top view with the
+    failures marked."""
     figure = Figure(figsize=(13.0, 4.2), layout="constrained")
     errors, reliability, floor = figure.subplots(1, 3)
     meta = result["meta"]
@@ -30,8 +32,11 @@ def draw_runs(result: Mapping[str, Any], path: Path) -> None:
         f"{meta['experiment']}, {meta['world']}, seed {meta['seed']}, preset {meta['preset']}, "
         f"taught {meta['teach_s']:.0f} s, {conditions}"
     )
-    _errors(errors, _by_condition(result["runs"]))
-    draw_reliability(reliability, result["summary"]["calibration"])
+    if "docking" in result["summary"]:
+        _docked(errors, reliability, result["runs"])
+    else:
+        _errors(errors, _by_condition(result["runs"]))
+        draw_reliability(reliability, result["summary"]["calibration"])
     _floor(floor, result["runs"], meta["bounds"])
     figure.savefig(path, dpi=110)
 
@@ -68,6 +73,19 @@ def _errors(axes: Axes, runs: Mapping[str, Sequence[Mapping[str, Any]]]) -> None
     everything = np.minimum(np.concatenate(list(series.values())) * CENTIMETRES, _shown(series))
     below.hist(everything, bins=np.arange(0.0, _shown(series) + 1.0, 1.0), color=GOOD, alpha=0.25)
     below.set_ylabel("runs a centimetre")
+
+
+def _docked(metres: Axes, degrees: Axes, runs: Sequence[Mapping[str, Any]]) -> None:
+    """Where those that said they docked stood: the thesis' figure 7.6."""
+    said = [run for run in runs if run["result"] == "DOCKED"]
+    for axes, values, unit, what in (
+        (metres, [1000.0 * run["error_m"] for run in said], "mm", "position"),
+        (degrees, [float(np.degrees(run["error_rad"])) for run in said], "°", "heading"),
+    ):
+        axes.hist(values, bins=20, color=GOOD)
+        axes.set(xlabel=f"error of the {what} ({unit})", ylabel="runs", xlim=(0.0, None))
+        mean = f"mean {np.mean(values):.2f} {unit}" if values else "none"
+        axes.set_title(f"{len(said)} of {len(runs)} docked, {mean}", fontsize=9)
 
 
 def _shown(series: Mapping[str, Sequence[float]]) -> float:
@@ -140,17 +158,21 @@ def _preset_and_condition(meta: Mapping[str, Any], run: Mapping[str, Any]) -> st
 
 def _teaching(axes: Axes, results: Sequence[Mapping[str, Any]]) -> None:
     """Median and 95th percentile of `goto` under no condition against the length of the teaching drive."""
+    lengths: set[float] = set()
     for preset, colour in (("default", GOOD), ("thesis", BAD)):
         plain = [r for r in results if r["meta"]["preset"] == preset and not r["meta"]["conditions"]]
         taught: dict[float, list[float]] = {}
         for result in (r for r in plain if r["meta"]["experiment"] == "goto"):
             taught.setdefault(result["meta"]["teach_s"], []).extend(run["error_m"] for run in result["runs"])
+        lengths |= taught.keys()
         for share, style in ((50, "o-"), (95, "o--")) if taught else ():
             heights = [CENTIMETRES * float(np.percentile(taught[seconds], share)) for seconds in sorted(taught)]
             axes.plot(sorted(taught), heights, style, color=colour, label=f"{preset}, {share} % of the runs")
     axes.set(xscale="log", yscale="log", xlabel="teaching drive (s)", ylabel="error at the goal (cm)")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
     if axes.lines:
+        axes.set_xticks(sorted(lengths))
         axes.legend(fontsize=8, frameon=False)

@@ -31,7 +31,8 @@ class Carried:
 class Run:
     """One job from start to end; all poses are the simulator's truth. A failed job counts where it ended.
 
-    `condition` is what the robot was tried under; `message` and `report` are the robot's own account of a failure.
+    `condition` is what the robot was tried under; `message` is the robot's own account of a failure, `report` of any
+    end.
     """
 
     start: Pose2D
@@ -80,7 +81,9 @@ class Run:
                 "recovered_s": self.carried.recovered,
             }
         if self.message:
-            values |= {"message": self.message, "report": dict(self.report)}
+            values |= {"message": self.message}
+        if self.message or self.report:
+            values |= {"report": dict(self.report)}
         return values
 
 
