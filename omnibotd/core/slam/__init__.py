@@ -1,0 +1,1 @@
+"""Robot and landmarks from bearings alone (thesis, chapter 5): filters, and a smoother as reference."""

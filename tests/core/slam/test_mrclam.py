@@ -1,0 +1,34 @@
+"""Real recordings: set 7 of MRCLAM, landmark identity known, positions not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tools.reproduce.mrclam import DATA, RecordingError, aligned_error, load
+from tools.reproduce.slam import recording
+
+real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data/mrclam7 is absent")
+
+
+def test_alignment_takes_out_turn_and_shift_and_nothing_else() -> None:
+    path = np.random.default_rng(0).standard_normal((50, 2))
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    assert aligned_error(path, path @ turn.T + [3.0, -1.0]) == pytest.approx(0.0, abs=1e-12)
+    assert aligned_error(path, 2.0 * path) == pytest.approx(np.sqrt(((path - path.mean(0)) ** 2).sum(1).mean()))
+
+
+def test_a_folder_without_recordings_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"Robot1_Odometry\.dat.*--data"):
+        load(tmp_path, 1)
+
+
+@real
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", [1, 2, 3])
+def test_errors_are_within_the_limits(robot: int) -> None:
+    rows = recording(DATA, robot)
+    assert {row["method"] for row in rows if row["limit"]} == {"undelayed inverse depth", "growing batch"}
+    assert all(row["met"] for row in rows)

@@ -1,0 +1,1 @@
+"""The tables and figures of the thesis again, from this repository: one module each."""
