@@ -12,7 +12,7 @@ import math
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -24,6 +24,7 @@ import numpy as np
 from omnibotd.core.calibration import spin, wheels
 from omnibotd.core.calibration.looks import Look, Looks
 from omnibotd.core.calibration.motions import LEG, BaseMotion, CalibrationMotion, SpinMotion
+from omnibotd.core.calibration.phases import phases_of
 from omnibotd.core.decision import Observation, Outcome
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.kinematics import DifferentialDrive
@@ -32,7 +33,7 @@ from omnibotd.core.percept import Verdict
 from omnibotd.core.safety import Limits, SafetyGate
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Frame, Image
-from tools.sim.plant import ROBOT_RADIUS, Body, SimulatedRobot
+from tools.sim.plant import Body, SimulatedRobot
 from tools.sim.room import Room, Surfaces
 from tools.sim.world import World
 from tools.sim.world_plugin import WorldError, load_world
@@ -40,6 +41,7 @@ from tools.sim.world_plugin import WorldError, load_world
 LIMITS = Limits(0.3, 1.0, 0.5, 2.0)  # the configuration's defaults
 STEP, STEPS_PER_TICK = 0.02, 5  # s of the body; ten ticks and frames a second
 EXPOSURE_TO_ARRIVAL = 0.03  # s
+CLEAR = 1.0  # m from walls at least, as users are told
 LONGEST = 300.0  # s that a motion may take
 BODY = Body(scale_error=0.0, wheel_difference=0.0)  # true dimensions; slip as usual
 WHEELS_WRONG, RATIO_WRONG = 0.05, 0.02  # shares
@@ -134,7 +136,7 @@ def run(
             exposed = now
         for i, new in enumerate(plant.step(STEP, *target)):
             ticks[i] += new
-        odometry.update(now + STEP, *ticks, BODY.ticks_per_rev)
+        odometry.update(now + STEP, ticks[0], ticks[1], BODY.ticks_per_rev)
         if (n + 1) % STEPS_PER_TICK == 0:
             stamp, before = exposed + EXPOSURE_TO_ARRIVAL, len(looks.kept)
             looks.take(Frame(stamp, b""), odometry.at(stamp))
@@ -167,7 +169,7 @@ class Trial:
         world, nominal, mounting, rng = self._set_up()
         camera = TiltedCamera(world, nominal, mounting, self.readout)
         drive = self._configured(rng)
-        made = run(world, _start(world, rng, 0.0), self.seed, camera, drive, SpinMotion(LIMITS))
+        made = run(world, _start(world, rng, 0.0, CLEAR), self.seed, camera, drive, SpinMotion(LIMITS))
         began = time.process_time()
         result = spin.estimate(made.looks, nominal)
         tilt = [a - b for a, b in zip(result.tilt, mounting.camera.tilt, strict=True)]
@@ -185,22 +187,21 @@ class Trial:
         world, nominal, mounting, rng = self._set_up()
         camera = TiltedCamera(world, nominal, mounting, self.readout)
         drive = self._configured(rng)
-        made = run(world, _start(world, rng, LEG * 1.25), self.seed, camera, drive, BaseMotion(LIMITS))
+        made = run(world, _start(world, rng, LEG * 1.25, CLEAR), self.seed, camera, drive, BaseMotion(LIMITS))
         began = time.process_time()
         result = wheels.estimate(made.looks, nominal, drive, None if tape else world.room.rise)
         if tape:
-            drives_from = next(p.first for p in wheels.phases_of(made.looks, drive) if not p.turns)
+            drives_from = next(p.first for p in phases_of(made.looks, drive) if not p.turns)
             result = result.with_distance(made.poses[drives_from].distance(made.poses[-1]))
         radius, separation = BODY.wheel_radius, BODY.wheel_separation
+        name = "base by tape" if tape else "base"
         errors = [
             100.0 * (result.radius_left / radius - 1.0),
             100.0 * (result.radius_right / radius - 1.0),
             100.0 * (result.separation / separation - 1.0),
         ]
         return {
-            **self._told(
-                "base by tape" if tape else "base", result.verdict, result.sentence, time.process_time() - began
-            ),
+            **self._told(name, result.verdict, result.sentence, time.process_time() - began),
             "left_percent": errors[0],
             "right_percent": errors[1],
             "separation_percent": errors[2],
@@ -231,19 +232,19 @@ class Trial:
         return {**asdict(self), "what": what, "verdict": str(verdict), "sentence": sentence, "cpu_s": round(seconds, 1)}
 
 
-def _start(world: World, rng: np.random.Generator, ahead: float) -> Pose2D:
-    """Somewhere in the room with so many metres free ahead, give or take 20 degrees."""
+def _start(world: World, rng: np.random.Generator, ahead: float, clear: float) -> Pose2D:
+    """Somewhere in the room, `clear` m from walls now and wherever it drives `ahead` m, give or take 20 degrees."""
     xmin, ymin, xmax, ymax = world.bounds
     for _ in range(10_000):
         pose = Pose2D(float(rng.uniform(xmin, xmax)), float(rng.uniform(ymin, ymax)), float(rng.uniform(-3.1, 3.1)))
         ends = [pose.transform(ahead * math.cos(a), ahead * math.sin(a)) for a in (-0.35, 0.0, 0.35)]
-        if all(world.free(x, y, ROBOT_RADIUS + 0.05) for x, y in [(pose.x, pose.y), *ends]):
+        if all(world.free(x, y, clear) for x, y in [(pose.x, pose.y), *ends]):
             return pose
     raise WorldError(f"no {ahead:.1f} m free ahead anywhere in {world.bounds}")
 
 
-def _pose_at(trace: Iterable[tuple[float, Pose2D]], stamp: float) -> Pose2D:
-    times, poses = zip(*trace, strict=True)
+def _pose_at(trace: Sequence[tuple[float, Pose2D]], stamp: float) -> Pose2D:
+    times, poses = [time for time, _ in trace], [pose for _, pose in trace]
     after = min(max(int(np.searchsorted(times, stamp)), 1), len(times) - 1)
     share = min(max((stamp - times[after - 1]) / STEP, 0.0), 1.0)
     step = poses[after - 1].inverse() @ poses[after]

@@ -130,7 +130,7 @@ class _Problem:
 
     def _solve(self, weight: Floats) -> _Step:
         matrix, pull, coupling, own, own_pull = self._reduced(weight, slice(None))
-        common = np.linalg.solve(matrix + self._prior, pull + self._prior_pull)
+        common = np.asarray(np.linalg.solve(matrix + self._prior, pull + self._prior_pull), np.float64)
         return _Step(common, (own_pull - coupling @ common) / own, weight)
 
     def _left(self, step: _Step) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +65,7 @@ class _Reference:
             count += each.seen
             total += each.cells
         self._grid = grid
-        self._mean: FloatImage = total / np.maximum(count, np.float32(1.0))
+        self._mean: FloatImage = np.asarray(total / np.maximum(count, 1.0), np.float32)
         self._known: NDArray[np.bool_] = count >= share * len(views)
         self._along, self._down = slopes(grid, self._mean)
 
@@ -94,11 +94,12 @@ def _cleaned(views: list[View], turn: Turn) -> list[View]:
     return [View(each.cells - np.roll(staying, shift, 1), each.seen) for each, shift in zip(views, shifts, strict=True)]
 
 
-def _mean(images: Iterable[FloatImage]) -> FloatImage:
-    total, count = np.float32(0.0), 0
+def _mean(images: Iterator[FloatImage]) -> FloatImage:
+    total, count = next(images).copy(), 1
     for image in images:
-        total, count = total + image, count + 1
-    return np.asarray(total / np.float32(count), np.float32)
+        total += image
+        count += 1
+    return np.asarray(total / count, np.float32)
 
 
 def _views(turn: Turn, grid: Grid, pictures: Pictures) -> Iterator[View]:

@@ -1,4 +1,4 @@
-"""All that is seen round a robot that turns on the spot, unwrapped about the vertical: a turn only shifts its columns."""
+"""What is seen round a robot that turns on the spot, unwrapped about the vertical: a turn only shifts its columns."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Grid:
     @property
     def zenith(self) -> Floats:
         """(rows,) zenith angles."""
-        return _INNERMOST + (np.arange(self.rows) + 0.5) * ROW_STEP
+        return np.asarray(_INNERMOST + (np.arange(self.rows) + 0.5) * ROW_STEP)
 
     @property
     def worth(self) -> FloatImage:
@@ -85,7 +85,8 @@ class Grid:
         before = np.floor(sector).astype(int)
         share = sector - before
         values = (1.0 - share) * rings[:, before % SECTORS] + share * rings[:, (before + 1) % SECTORS]
-        return _INNERMOST + row[:, None] * ROW_STEP, column[None, :] * COLUMN_STEP, values
+        zenith, bearing = _INNERMOST + row * ROW_STEP, column * COLUMN_STEP
+        return np.asarray(zenith[:, None]), np.asarray(bearing[None, :]), np.asarray(values)
 
     def between_nodes(self, nodes: Floats) -> tuple[FloatImage, FloatImage]:
         """Columns and rows (rows, COLUMNS) of the picture at the cells, from those (n, m, 2) at the nodes."""
@@ -117,7 +118,7 @@ class Pictures:
 
     @classmethod
     def of(cls, frames: Sequence[Frame], camera: CameraModel, reduction: int = 1) -> Pictures:
-        """Made `reduction` times smaller, which must be the camera's size: FrameError where one is not, or no picture."""
+        """Made `reduction` times smaller; FrameError where one then has not the camera's size, or is no picture."""
         grey = tuple(_grey_of(frame, camera, reduction) for frame in frames)
         total = np.zeros((camera.height, camera.width), np.float32)
         for picture in grey:

@@ -1,7 +1,7 @@
 """Optical centre and tilt of the camera from turns on the spot.
 
 Turning about the vertical, whatever is seen turns about the vertical's image. Where that is, is easily seen; whether
-centre or tilt put it there shows in how things far off the zenith move round, and needs a wide lens and all of the view.
+centre or tilt put it there shows in how things far off the zenith move round, and needs a wide lens and all it sees.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class SpinResult:
     """What a turn tells of the camera's mounting.
 
     `centre` (px) and `tilt` (rad) as in CameraModel; their sigmas are one standard deviation; `residual` (px) is how
-    far views still disagree; `turned` (rad) by sight, from the one side to the other. `verdict` is ACCEPTED or REJECTED;
-    `sentence` says why, and what to do.
+    far views still disagree; `turned` (rad) by sight, from the one side to the other. `verdict` is ACCEPTED or
+    REJECTED; `sentence` says why, and what to do.
     """
 
     centre: tuple[float, float]
@@ -60,7 +60,7 @@ def estimate(looks: Sequence[Look], camera: CameraModel) -> SpinResult:
     """
     if len(looks) < _FEWEST_LOOKS:
         sentence = f"{len(looks)} pictures, expected {_FEWEST_LOOKS} or more; let it turn right round"
-        nothing = (math.inf, math.inf, math.inf)
+        nothing = (float(camera.width), math.pi, float(camera.width))
         return SpinResult((camera.cx, camera.cy), camera.tilt, *nothing, len(looks), 0.0, Verdict.REJECTED, sentence)
     chosen = [looks[i] for i in np.unique(np.linspace(0, len(looks) - 1, _MOST_LOOKS).round().astype(int))]
     grid, pictures = Grid.of(camera), Pictures.of([look.frame for look in chosen], camera)
@@ -80,13 +80,17 @@ def follow(turn: Turn, grid: Grid, pictures: Pictures) -> Adjusted:
     return found
 
 
-def judged(found: Adjusted, wheels_turned: float) -> SpinResult:
-    """What was found, and whether to believe it; `wheels_turned` (rad) is how far the wheels went round."""
+def judged(found: Adjusted, wheels_turned: float, lenience: float = 1.0) -> SpinResult:
+    """What was found, and whether to believe it; `wheels_turned` (rad) is how far the wheels went round.
+
+    `lenience` widens what is asked of centre and tilt, for those who need them less exactly.
+    """
     camera, covariance = found.turn.camera, found.covariance
     centre_sigma = math.hypot(_HONESTY * math.sqrt(float(np.trace(covariance[:2, :2]))), _CENTRE_FLOOR)
     tilt_sigma = math.hypot(_HONESTY * math.sqrt(float(np.trace(covariance[2:, 2:]))), _TILT_FLOOR)
     turned = float(np.ptp(found.turn.heading))
-    fault = _fault(turned, wheels_turned, found.misfit, centre_sigma, tilt_sigma)
+    spread = max(centre_sigma / _WORST_CENTRE, tilt_sigma / _WORST_TILT) / lenience
+    fault = _fault(turned, wheels_turned, found.misfit, spread)
     tilt = math.degrees(math.hypot(*camera.tilt))
     good = (
         f"centre ({camera.cx:.2f}, {camera.cy:.2f}) px to {centre_sigma:.2f} px, tilt {tilt:.2f} degrees to "
@@ -115,17 +119,21 @@ def turn_rates(looks: Sequence[Look]) -> Floats:
     return np.asarray(np.gradient(wheel_headings(looks), [look.frame.stamp for look in looks]))
 
 
-def _fault(turned: float, wheels: float, misfit: float, centre_sigma: float, tilt_sigma: float) -> str:
-    """Why this is not to be believed, and what to do; empty where it is."""
-    if misfit > _WORST_MISFIT or centre_sigma > _WORST_CENTRE or tilt_sigma > _WORST_TILT:
+def _fault(turned: float, wheels: float, misfit: float, spread: float) -> str:
+    """Why this is not to be believed, and what to do; empty where it is. A `spread` beyond 1 is too wide."""
+    if misfit > _WORST_MISFIT:
         return (
-            f"too little to see here: centre known to {centre_sigma:.2f} px and tilt to {math.degrees(tilt_sigma):.2f} "
-            f"degrees, views differ by {math.degrees(misfit):.2f} degrees; turn in the middle of a room that shows more, in "
-            "more light, with nobody near"
+            f"too little to see here: views of the same thing differ by {math.degrees(misfit):.1f} degrees; turn where "
+            "ceiling or walls show more, in more light, with nobody near"
+        )
+    if spread > 1.0:
+        return (
+            f"parts of the view disagree {spread:.1f} times as much as they may; turn in the middle of a room, a metre "
+            "or more from walls and cupboards, with nobody near"
         )
     if turned < _WHOLE_TURN:
         return f"turned {math.degrees(turned):.0f} degrees by sight, expected 360; give it room to turn right round"
-    if abs(turned / wheels - 1.0) > _WHEEL_ERROR:
+    if abs(turned - wheels) > _WHEEL_ERROR * turned:
         return (
             f"turned {math.degrees(turned):.0f} degrees by sight but {math.degrees(wheels):.0f} by the wheels: put "
             "base.ticks_per_rev, wheel_radius and wheel_separation right to a tenth, and check camera.fov_deg"

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import reduce
 
 import numpy as np
 
@@ -28,6 +29,8 @@ from omnibotd.core.kinematics import DifferentialDrive
 from omnibotd.core.percept import Verdict
 from omnibotd.core.vision.camera_model import CameraModel
 
+# Drives are measured well enough with a camera that is known so many times worse than a spin should know it.
+_LENIENCE = 2.5
 # Least that the wheels must have turned (rad) and driven (m).
 _LEAST_TURNED, _LEAST_DRIVEN = 1.8 * 2.0 * math.pi, 2.0
 # Looks that the camera is found from: one round (rad) of this many phases.
@@ -37,8 +40,9 @@ _REDUCTION = 2
 # Shares: the worst sigma worth having, and a change that no wheel needs. Errors over the usual ones that mean that
 # something happened.
 _WORST_SIGMA, _WILDEST, _WORST_RESIDUAL = 0.004, 0.25, 3.0
-# Share of the ceiling at another height to that at its main one: with more, nobody knows which of them is configured.
-_LARGEST_STEP = 0.6
+# Where all that is seen and what most of it is at differ by this share, the ceiling has several heights and a tape is
+# better; by the other, nobody knows which height is configured. What remains of the difference after allowing for it.
+_STEPPED, _CLEFT, _STEP_ERROR = 0.004, 0.03, 0.6
 # A tape's error (m).
 _TAPE = 0.003
 
@@ -53,7 +57,7 @@ class Scale(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WheelsResult:
-    """Lengths in metres; sigmas are shares (0.001 = 0.1 %), without what the height or the tape is wrong by.
+    """Lengths in metres; sigmas are shares (0.001 = 0.1 %), without what the configured height is wrong by.
 
     `residual` is how much larger errors are than on a hard floor. `straight` is how far it stands at the end from where
     it began to drive. With `scale` NOMINAL the mean radius is still the one configured, and only ratio and separation
@@ -113,14 +117,14 @@ def estimate(
         turned = math.degrees(nothing.turned)
         return replace(nothing, sentence=f"turned {turned:.0f} degrees, drove {nothing.driven:.1f} m: let it finish")
     found, seen_turns, wheels_turned = _follow_turns(looks, camera, turns)
-    spin = judged(found, wheels_turned)
+    spin = judged(found, wheels_turned, _LENIENCE)
     if spin.verdict is Verdict.REJECTED:
         return replace(nothing, sentence=spin.sentence)
     ways = [seen_way([look.frame for look in looks[p.first : p.last + 1]], found.turn.camera) for p in drives]
     known = [way.of_base(found.turn.offset) for way in ways if way is not None]
     if len(known) < len(ways):
         return replace(nothing, sentence="the ceiling was lost from sight; try in steady light where it shows more")
-    return _measured(nothing, drive, seen_turns, list(zip(drives, known, strict=True)), ceiling_height)
+    return _measured(drive, seen_turns, list(zip(drives, known, strict=True)), ceiling_height)
 
 
 def _nothing(drive: DifferentialDrive, turns: Sequence[Phase], drives: Sequence[Phase]) -> WheelsResult:
@@ -128,7 +132,7 @@ def _nothing(drive: DifferentialDrive, turns: Sequence[Phase], drives: Sequence[
     left, right = drive.radii
     turned = drive.wheel_radius * sum(p.rolled for p in turns) / drive.wheel_separation
     driven = drive.wheel_radius * sum(p.rolled for p in drives) / 2.0
-    unknown = (math.inf, math.inf, math.inf, math.inf)
+    unknown = (1.0, 1.0, 1.0, 0.0)
     lengths = (left, right, drive.wheel_separation)
     return WheelsResult(*lengths, *unknown, Scale.NOMINAL, turned, driven, 0.0, Verdict.REJECTED, "")
 
@@ -163,42 +167,44 @@ def _chosen(turns: Sequence[Phase], heading: Floats, first: int) -> list[int]:
 
 
 def _measured(
-    nothing: WheelsResult,
-    drive: DifferentialDrive,
-    turns: list[Seen],
-    drives: list[tuple[Phase, Way]],
-    ceiling_height: float | None,
+    drive: DifferentialDrive, turns: list[Seen], drives: list[tuple[Phase, Way]], ceiling_height: float | None
 ) -> WheelsResult:
     """The wheels' lengths, and whether to believe them."""
-    plane, other = ceiling_of(np.concatenate([way.patches for _, way in drives]))
+    plane = ceiling_of(np.concatenate([way.patches for _, way in drives]))
     seen = turns + [Seen(phase, way.turned, way.length * (1.0 + plane)) for phase, way in drives]
     fit = fitted(seen, drive.wheel_radius)
-    flat = other < _LARGEST_STEP
-    scale = Scale.CEILING if ceiling_height is not None and flat else Scale.NOMINAL
-    height = ceiling_height if scale is Scale.CEILING and ceiling_height else drive.wheel_radius / fit.radius
-    end = Pose2D()
-    for _, way in drives:
-        end = end @ way.end
-    result = WheelsResult(
-        fit.left * height,
-        fit.right * height,
-        fit.separation * height,
-        fit.radius_sigma,
-        fit.ratio_sigma,
-        fit.separation_sigma,
-        fit.residual,
-        scale,
-        sum(abs(one.turned) for one in turns),
-        sum(abs(one.driven) for one in seen) * height,
-        math.hypot(end.x, end.y) * (1.0 + plane) * height,
-        Verdict.REJECTED,
-        "",
-    )
+    end = reduce(Pose2D.__matmul__, [way.end for _, way in drives])
+    straight = math.hypot(end.x, end.y) * (1.0 + plane)
+    if ceiling_height is not None and abs(plane) < _CLEFT:
+        result = _in_metres(fit, seen, straight, ceiling_height, Scale.CEILING, _STEP_ERROR * abs(plane))
+    else:
+        result = _in_metres(fit, seen, straight, drive.wheel_radius / fit.radius, Scale.NOMINAL, 0.0)
     fault = _fault(result, fit, drive)
     if fault:
         return replace(result, sentence=fault)
-    why = "the ceiling has several heights" if ceiling_height is not None and not flat else ""
-    return replace(result, verdict=Verdict.ACCEPTED, sentence=_told(result, why))
+    stepped = ceiling_height is not None and abs(plane) > _STEPPED
+    return replace(result, verdict=Verdict.ACCEPTED, sentence=_told(result, stepped))
+
+
+def _in_metres(
+    fit: WheelFit, seen: Sequence[Seen], straight: float, height: float, scale: Scale, height_sigma: float
+) -> WheelsResult:
+    """All lengths times the ceiling's height; not judged yet."""
+    return WheelsResult(
+        fit.left * height,
+        fit.right * height,
+        fit.separation * height,
+        math.hypot(fit.radius_sigma, height_sigma),
+        fit.ratio_sigma,
+        math.hypot(fit.separation_sigma, height_sigma),
+        fit.residual,
+        scale,
+        sum(abs(one.turned) for one in seen if one.phase.turns),
+        sum(abs(one.driven) for one in seen) * height,
+        straight * height,
+        Verdict.REJECTED,
+        "",
+    )
 
 
 def _fault(result: WheelsResult, fit: WheelFit, drive: DifferentialDrive) -> str:
@@ -219,16 +225,21 @@ def _fault(result: WheelsResult, fit: WheelFit, drive: DifferentialDrive) -> str
     return ""
 
 
-def _told(result: WheelsResult, why: str = "") -> str:
-    """The result in a sentence or two."""
-    lengths = (
+def _told(result: WheelsResult, stepped: bool = False) -> str:
+    """The result in a sentence or two; `stepped`: the ceiling has several heights, and one is configured."""
+    sentence = (
         f"radii {1000.0 * result.radius_left:.2f} and {1000.0 * result.radius_right:.2f} mm, "
         f"separation {1000.0 * result.separation:.1f} mm to {100.0 * result.separation_sigma:.2f} %"
     )
-    if result.scale is not Scale.NOMINAL:
-        return lengths
-    why = why or "the ceiling alone does not tell how long a metre is, and docking.ceiling_height is not set"
+    several = "the ceiling has several heights, and nothing says which is configured"
+    unset = "the ceiling alone does not tell how long a metre is, and docking.ceiling_height is not set"
+    if result.scale is Scale.NOMINAL:
+        sentence += f", if the mean radius is as configured: {several if stepped else unset}"
+    elif stepped:
+        sentence += f"; {several}"
+    else:
+        return sentence
     return (
-        f"{lengths}, if the mean radius is as configured: {why}. Measure with a tape how far it stands from where it "
-        f"began to drive (about {result.straight:.2f} m), and run `calibrate base --distance METRES`"
+        f"{sentence}. Measure with a tape how far it stands from where it began to drive (about "
+        f"{result.straight:.2f} m), and run `calibrate base --distance METRES`"
     )
