@@ -35,21 +35,20 @@ _DOCKING, _THESIS = "omnibotd.core.docking.", "omnibotd.core.thesis.docking:"
 _SEEING: Mapping[str, tuple[str, ...]] = {
     "decode": ("omnibotd.core.vision.frame:Frame.grey",),
     "rectify": (_DOCKING + "rectification:Lookup.__call__",),
-    "edge strength, people": (_DOCKING + "ceiling_view:edge_strength", _DOCKING + "ceiling_view:unoccluded"),
-    "layers": (_DOCKING + "ceiling_view:CeilingView.layer",),
+    "edge strength, people": (_DOCKING + "coarse:masked_layer", _DOCKING + "fine:masked_layer"),
 }
-_REFINING: Mapping[str, tuple[str, ...]] = {
-    "walls": (_DOCKING + "walls:WallSearch.more",),
-    "refinement": (_DOCKING + "refinement:Refinement.refine",),
+_ALIGNING: Mapping[str, tuple[str, ...]] = {
+    "layers": (_DOCKING + "alignment:Layer.resized",),
+    "alignment: warping": (_DOCKING + "alignment:Layer.warped",),
+    "alignment: steps": (_DOCKING + "alignment:AlignmentTarget.align",),
 }
 STAGES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    TRACKING: {**_SEEING, **_REFINING, "rest": (_DOCKING + "registration:DockRegistration.track",)},
+    TRACKING: {**_SEEING, **_ALIGNING, "rest": (_DOCKING + "registration:DockRegistration.track",)},
     FULL_FIX: {
         **_SEEING,
         "rotation cues": (_DOCKING + "rotation:RotationCues.signature", _DOCKING + "coarse:rotation_hypotheses"),
         "shifts": (_DOCKING + "translation:ShiftSearch.find",),
-        "candidates": (_DOCKING + "coarse:align", _DOCKING + "coarse:residuals"),
-        **_REFINING,
+        **_ALIGNING,
         "rest": (_DOCKING + "registration:DockRegistration.fix",),
     },
     # The rows of the thesis' table 7.2, and its milliseconds at 1.6 GHz.

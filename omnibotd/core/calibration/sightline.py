@@ -24,8 +24,8 @@ _KEY_DISTANCE = 0.2
 _LEAST_SCORE = 0.35
 # Heights are compared on patches this many pixels wide, and to this share: a patch of one height and an edge.
 _PATCH, _HEIGHT_NOISE = 20, 0.01
-# Patches are of one plane when they differ by less than this share.
-_SAME = 0.015
+# Shares of the height within which patches are of one plane, and farther off than which they are of another.
+_SAME, _OTHER = 0.015, 0.025
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,14 +74,20 @@ def seen_way(frames: Sequence[Frame], camera: CameraModel) -> Way | None:
     return Way(poses[-1], np.concatenate(patches))
 
 
-def ceiling_of(patches: Floats) -> float:
-    """The nearness of the plane that most of the ceiling lies in: next to nothing of a ceiling without steps."""
+def ceiling_of(patches: Floats) -> tuple[float, float]:
+    """The nearness of the plane that most of the ceiling lies in, and how much there is of any other to one of it.
+
+    The first is next to nothing for a ceiling without steps. The second is some tenths where it shows little.
+    """
     if not len(patches):
-        return 0.0
+        return 0.0, 0.0
     nearness, weight = patches.T
     within = np.abs(nearness[:, None] - nearness[None, :]) < _SAME
-    best = within[int(np.argmax(within @ weight))]
-    return float(np.average(nearness, weights=weight * best))
+    shares = within @ weight
+    best = int(np.argmax(shares))
+    plane = float(np.average(nearness, weights=weight * within[best]))
+    others = shares[np.abs(nearness - plane) > _OTHER]
+    return plane, float(others.max(initial=0.0) / shares[best])
 
 
 def _nearness(target: Layer, current: Layer, displacement: Displacement) -> Floats:

@@ -40,9 +40,11 @@ _REDUCTION = 2
 # Shares: the worst sigma worth having, and a change that no wheel needs. Errors over the usual ones that mean that
 # something happened.
 _WORST_SIGMA, _WILDEST, _WORST_RESIDUAL = 0.004, 0.25, 3.0
-# Where all that is seen and what most of it is at differ by this share, the ceiling has several heights and a tape is
-# better; by the other, nobody knows which height is configured. What remains of the difference after allowing for it.
-_STEPPED, _CLEFT, _STEP_ERROR = 0.004, 0.03, 0.6
+# With this much of the ceiling at another height to one of what most of it is at, nobody knows which is configured.
+_LARGEST_STEP = 0.6
+# Where all that is seen and what most of it is at differ in height by this share, there are steps, and a tape is better;
+# and what remains of the difference after allowing for it.
+_STEPPED, _STEP_ERROR = 0.004, 0.6
 # A tape's error (m).
 _TAPE = 0.003
 
@@ -170,19 +172,19 @@ def _measured(
     drive: DifferentialDrive, turns: list[Seen], drives: list[tuple[Phase, Way]], ceiling_height: float | None
 ) -> WheelsResult:
     """The wheels' lengths, and whether to believe them."""
-    plane = ceiling_of(np.concatenate([way.patches for _, way in drives]))
+    plane, other = ceiling_of(np.concatenate([way.patches for _, way in drives]))
     seen = turns + [Seen(phase, way.turned, way.length * (1.0 + plane)) for phase, way in drives]
     fit = fitted(seen, drive.wheel_radius)
     end = reduce(Pose2D.__matmul__, [way.end for _, way in drives])
     straight = math.hypot(end.x, end.y) * (1.0 + plane)
-    if ceiling_height is not None and abs(plane) < _CLEFT:
+    if ceiling_height is not None and other < _LARGEST_STEP:
         result = _in_metres(fit, seen, straight, ceiling_height, Scale.CEILING, _STEP_ERROR * abs(plane))
     else:
         result = _in_metres(fit, seen, straight, drive.wheel_radius / fit.radius, Scale.NOMINAL, 0.0)
     fault = _fault(result, fit, drive)
     if fault:
         return replace(result, sentence=fault)
-    stepped = ceiling_height is not None and abs(plane) > _STEPPED
+    stepped = ceiling_height is not None and (other >= _LARGEST_STEP or abs(plane) > _STEPPED)
     return replace(result, verdict=Verdict.ACCEPTED, sentence=_told(result, stepped))
 
 

@@ -67,12 +67,13 @@ def test_a_push_shows_in_the_residual():
 def test_ceiling_is_the_plane_that_most_of_it_lies_in():
     rng = np.random.default_rng(1)
     plaster, beams = -0.012 + 0.004 * rng.standard_normal(300), 0.1 + 0.01 * rng.standard_normal(100)
-    plane = ceiling_of(np.stack([np.concatenate([plaster, beams]), np.ones(400)], -1))
+    plane, other = ceiling_of(np.stack([np.concatenate([plaster, beams]), np.ones(400)], -1))
     assert plane == pytest.approx(-0.012, abs=0.001)
+    assert 0.2 < other < 0.35
 
 
 def test_no_patches_leave_the_ceiling_as_it_is():
-    assert ceiling_of(np.zeros((0, 2))) == 0.0
+    assert ceiling_of(np.zeros((0, 2))) == (0.0, 0.0)
 
 
 def test_way_of_the_base_forgets_where_the_camera_stands():
