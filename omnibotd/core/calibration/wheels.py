@@ -42,7 +42,7 @@ _REDUCTION = 2
 _WORST_SIGMA, _WILDEST, _WORST_RESIDUAL = 0.004, 0.25, 3.0
 # With this much of the ceiling at another height to one of what most of it is at, nobody knows which is configured.
 _LARGEST_STEP = 0.6
-# Where all that is seen and what most of it is at differ in height by this share, there are steps, and a tape is better;
+# Where all that is seen and most of it differ in height by this share, there are steps, and a tape is better;
 # and what remains of the difference after allowing for it.
 _STEPPED, _STEP_ERROR = 0.004, 0.6
 # A tape's error (m).
