@@ -19,7 +19,8 @@ from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation import likeness
 from omnibotd.core.navigation.hypotheses import Hypotheses
 from omnibotd.core.navigation.node_index import NodeIndex
-from omnibotd.core.navigation.trust import Sight, Trust, calibrated, covered, expected_score, ramp
+from omnibotd.core.navigation.sight import Sight, covered, expected_score, ramp
+from omnibotd.core.navigation.trust import Trust, calibrated
 from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.descriptor import Descriptor, Harmonics, correlate, harmonics, smoothed
@@ -29,7 +30,7 @@ from omnibotd.core.vision.view import View
 Floats = NDArray[np.float64]
 
 # Below this correlation nothing was recognised: such a frame moves no hypothesis.
-_RECOGNISED = 0.4
+_RECOGNISED = 0.25
 # Candidates this much worse than the best start no hypothesis of their own.
 _WORTH_PROPOSING = 0.15
 # Correlation falls with the distance to a node by this share of what 95 of 100 stay below; allowed for up to so much.
@@ -166,10 +167,7 @@ class Localizer:
         if not len(self._hypotheses):
             return PlaceEstimate(frame.stamp, odom_from_base, Pose2D(), 0.0, _UNKNOWN, candidates.best, 0.0, -1)
         fit = self._fit(view, candidates, evidence)
-        if self._tracked is not None and self._tracked.distance(self._hypotheses.pose(0)) > _JUMP:
-            self._trust.start_again()
-        self._tracked = self._hypotheses.pose(0)
-        sight = self._judge(candidates, fit, moved, continues)
+        sight = self._judge(candidates, fit, moved, self._correction(step), continues)
         self._latest = self._estimate(frame.stamp, odom_from_base, candidates, sight)
         return self._latest
 
@@ -227,7 +225,7 @@ class Localizer:
 
     def _node_sigma(self, score: Any) -> Any:
         """Standard deviation (m) of the place of a view that correlates with a node at `score` (an array, or one)."""
-        return _NODE_SIGMA + 0.5 * self._likeness.reach * np.maximum(0.0, 1.0 - score / self._trust.light)
+        return _NODE_SIGMA + 0.5 * self._likeness.reach * np.maximum(0.0, 1.0 - score / self._trust.light.share)
 
     def _sharpen(self, view: View, seen: _Candidates, evidence: float) -> _Fit:
         """Correct the likeliest hypothesis by regression.
@@ -265,18 +263,26 @@ class Localizer:
         if found.pose.distance(prior) > _GATE or abs(wrap(found.pose.yaw - prior.yaw)) > _TURN_GATE:
             return _Fit(-1.0, found.unexplained)
         # A poor fit says little about where exactly.
-        loose = sigma * (1.0 - ramp(found.score / self._trust.light, *_FIRM))
+        loose = sigma * (1.0 - ramp(found.score / self._trust.light.share, *_FIRM))
         self._hypotheses.place(number, found.pose, max(found.sigma, _SURE, loose))
         strain = 0.5 * (found.pose.distance(prior) / (sigma + _SURE)) ** 2
         return _Fit(found.score, found.unexplained, min(strain, _MOST_STRAIN))
 
-    def _judge(self, seen: _Candidates, fit: _Fit, moved: float, continues: bool) -> Sight:
+    def _correction(self, step: Pose2D) -> float:
+        """How far (m) the tracked pose was moved beyond what odometry says."""
+        expected, self._tracked = self._tracked, self._hypotheses.pose(0)
+        corrected = self._tracked.distance(expected @ step) if expected is not None else 0.0
+        if corrected > _JUMP:
+            self._trust.start_again()
+        return corrected
+
+    def _judge(self, seen: _Candidates, fit: _Fit, moved: float, corrected: float, continues: bool) -> Sight:
         """What the frame says about the likeliest pose."""
         x, y, _ = (float(value) for value in self._hypotheses.poses[0])
         score = max(fit.score, float(self._hypotheses.supported(seen.poses, seen.scores)[0]))
         apart = np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y)
         elsewhere = float(seen.scores[apart > _ELSEWHERE].max(initial=-1.0))
-        return Sight(score, elsewhere, fit.unexplained, moved, continues)
+        return Sight(score, elsewhere, fit.unexplained, moved, corrected, continues)
 
     def _estimate(self, stamp: float, odom: Pose2D, seen: _Candidates, sight: Sight) -> PlaceEstimate:
         x, y, yaw = (float(value) for value in self._hypotheses.poses[0])

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+from omnibotd.core.navigation.illumination import Illumination
+from omnibotd.core.navigation.sight import Sight, covered, expected_score, ramp
 
 # A match is as good as can be expected from so much below what the nodes round about predict, and no match at all from
 # so much more: changed lamps cost 0.05 to 0.15 of correlation, a low sun 0.3.
@@ -15,10 +18,6 @@ _BETTER, _MUCH_BETTER = 0.1, 0.3
 _CREDIBLE, _STRONG = 0.45, 0.65
 # Lead over everything elsewhere that settles the matter.
 _CLEAR_LEAD = 0.15
-# What another light leaves of the likeness of a right pose, at worst; metres to learn less, and more, on which the pose
-# leads over everything elsewhere. By night a right pose correlates at 0.5 to 0.7, and everything else far less.
-_DARKEST, _DARKER, _BRIGHTER = 0.5, 1.0, 0.3
-_LEADING = (0.25, 0.35)
 # Metres of agreement to be convinced, with no lead and with a clear one.
 _SLOW, _FAST = 1.5, 0.15
 # Fit times lead at which a view that broke off counts as found again.
@@ -30,8 +29,6 @@ _AT_FIRST, _AT_REST = 0.75, 0.02
 _CONTRADICTED, _UNFIT = 0.6, 0.25
 # Between the paths driven while teaching nothing is expected to fit, and trust lasts these metres of odometry.
 _BLIND = 3.0
-# Unexplained variance from which less, and nothing, is expected of a match.
-_COVERED, _UNCOVERED = 0.2, 0.7
 # Share of a correction's log odds that trust is lowered by.
 _SHAKEN = 0.25
 # Belief to confidence, fitted on 48,000 frames in seven simulated rooms in four lights, carried every 20 s: log odds
@@ -39,21 +36,6 @@ _SHAKEN = 0.25
 # from there to where a ceiling is the same again and again: a robot carried off in a hall believed in the wrong lamp.
 _CAUTION, _REPETITIVE, _SPREAD = 1.5, (0.55, 0.8), 0.9
 _PERIODIC, _DOUBLES = 1.3, (0.72, 0.82)
-# Correlation expected at a pose, from the variance that its nodes leave unexplained: that much, and noise, and what the
-# coding of snapshots costs.
-_NOISE, _EXPLAINED, _CODED = 0.08, 1.2, 0.93
-
-
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """What one frame says about the tracked pose: `score` there, best score `elsewhere`, share of variance left
-    `unexplained` by the nodes there, metres `moved` since the frame before, and whether it `continues` that one."""
-
-    score: float
-    elsewhere: float
-    unexplained: float
-    moved: float
-    continues: bool = True
 
 
 class Trust:
@@ -63,7 +45,7 @@ class Trust:
         self.value = 0.0
         self.broken = False  # the view changed at once and has fitted nothing since: covered, or carried away
         self._chance = chance
-        self.light = 1.0  # share of the expected likeness that is left in the present light
+        self.light = Illumination()
         self._anew = 0.0  # trust earned since the view broke off
         self._fresh = True
 
@@ -79,25 +61,20 @@ class Trust:
     def start_again(self) -> None:
         """Another pose is tracked from now on."""
         self._fresh, self._anew = True, 0.0
+        self.light.start_again()
 
     def shake(self, strain: float) -> None:
         """The tracked pose had to be corrected by more than odometry errs: `strain` is the log odds against that."""
         shaken = math.exp(-_SHAKEN * strain)
         self.value, self._anew = self.value * shaken, self._anew * shaken
-        self.light = 1.0 - (1.0 - self.light) * shaken
-
-    def _as_taught(self, sight: Sight, expected: float) -> Sight:
-        """The scores as they would be in the light of the teaching drive, which is learnt by the way."""
-        left = min(max(sight.score / max(expected, 0.1), _DARKEST), 1.0)
-        leading = ramp(sight.score - sight.elsewhere, *_LEADING) * covered(sight.unexplained)
-        length = _DARKER if left < self.light else _BRIGHTER
-        self.light += (left - self.light) * leading * (1.0 - math.exp(-sight.moved / length))
-        return replace(sight, score=sight.score / self.light, elsewhere=sight.elsewhere / self.light)
+        self.light.doubt(shaken)
 
     def update(self, sight: Sight) -> float:
         """Take a frame into account; returns the new value."""
         expected = expected_score(sight.unexplained)
-        sight = self._as_taught(sight, expected)
+        self.light.learn(sight, expected)
+        # As it would be in the light of the teaching drive.
+        sight = replace(sight, score=sight.score / self.light.share, elsewhere=sight.elsewhere / self.light.share)
         fit = ramp(sight.score, max(expected - _TOO_LOW, 0.3), max(expected - _SLACK, 0.5))
         distinct = ramp(sight.score, self._chance, self._chance + _DISTINCT * (1.0 - self._chance))
         lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD) * distinct
@@ -120,24 +97,9 @@ class Trust:
         return max(self.value * fit * lead, self._anew)
 
 
-def expected_score(unexplained: float) -> float:
-    """Correlation with the predicted view that a right pose reaches in unchanged light."""
-    return _CODED * math.sqrt(max(0.0, 1.0 - _EXPLAINED * (unexplained + _NOISE)))
-
-
 def calibrated(belief: float, chance: float) -> float:
     """The share of poses held with so much belief that are right: trust counts evidence cautiously, and too cautiously
     where no place looks like another."""
     odds = _CAUTION * (1.0 - ramp(chance, *_REPETITIVE)) - _PERIODIC * ramp(chance, *_DOUBLES)
     odds += _SPREAD * math.log((belief + 1e-6) / (1.0 - belief + 1e-6))
     return 1.0 / (1.0 + math.exp(-odds))
-
-
-def covered(unexplained: float) -> float:
-    """1 where nodes are near enough that a view must fit, 0 where none is."""
-    return 1.0 - ramp(unexplained, _COVERED, _UNCOVERED)
-
-
-def ramp(value: float, low: float, high: float) -> float:
-    """0 up to `low`, 1 from `high`, straight between."""
-    return min(max((value - low) / (high - low), 0.0), 1.0)

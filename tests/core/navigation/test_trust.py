@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from omnibotd.core.navigation.trust import Sight, Trust, calibrated, expected_score
+from omnibotd.core.navigation.sight import Sight, expected_score
+from omnibotd.core.navigation.trust import Trust, calibrated
 
 CHANCE = 0.5
 GOOD = Sight(score=0.86, elsewhere=0.3, unexplained=0.04, moved=0.03)
@@ -109,14 +110,34 @@ def test_a_match_that_others_come_near_is_no_matter_of_the_light() -> None:
     for _ in range(400):
         trust.update(rim)
     assert trust.value < 0.3
-    assert trust.light == 1.0
+    assert trust.light.share == 1.0
+
+
+def test_metres_on_which_odometry_is_followed_teach_a_darker_light() -> None:
+    """Lamps off under metal panels: a right pose correlates at 0.4, the best elsewhere at 0.2."""
+    dim = replace(GOOD, score=0.4, elsewhere=0.2, moved=0.03, corrected=0.001)
+    trust = Trust(CHANCE)
+    assert max(trust.update(dim) for _ in range(20)) < 0.3
+    for _ in range(250):
+        trust.update(dim)
+    assert trust.value > 0.9
+
+
+def test_a_pose_that_does_not_follow_odometry_teaches_no_darker_light() -> None:
+    """The like of it half a turn round wanders by a decimetre in a metre."""
+    wandering = replace(GOOD, score=0.4, elsewhere=0.2, moved=0.03, corrected=0.03)
+    trust = Trust(CHANCE)
+    for _ in range(400):
+        trust.update(wandering)
+    assert trust.light.share == 1.0
+    assert trust.value < 0.3
 
 
 def test_when_the_lamps_come_on_again_the_dark_is_forgotten() -> None:
     trust = Trust(CHANCE)
     for _ in range(200):
         trust.update(replace(GOOD, score=0.5, elsewhere=0.1, moved=0.03))
-    assert trust.light < 0.7
+    assert trust.light.share < 0.7
     for _ in range(40):
         trust.update(replace(GOOD, moved=0.03))
-    assert trust.light > 0.95
+    assert trust.light.share > 0.95
