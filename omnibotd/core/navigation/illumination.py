@@ -1,7 +1,7 @@
 """What another light leaves of the likeness of a right pose: learnt over metres on which nothing else comes near.
 
 By night a right pose correlates at 0.4 to 0.7, and everything else far less. A room seen from outside the map, half a
-turn round, correlates at 0.5 too; but there something else comes near, and the pose does not follow odometry.
+turn round, correlates at 0.5 to 0.7 too; but there something else comes near, or the pose does not follow odometry.
 """
 
 from __future__ import annotations
@@ -12,20 +12,22 @@ from omnibotd.core.navigation.sight import Sight, covered, ramp
 
 # The share is never taken for less; metres to learn that it is less, and more.
 _DARKEST, _DARKER, _BRIGHTER = 0.5, 1.0, 0.3
-# Lead over everything elsewhere from which, and up to which, one frame teaches.
-_LEADING = (0.25, 0.35)
-# The same as a share of the score, on the average of so many metres, for a pose that follows odometry.
-_LEADING_SHARE, _LEADING_LENGTH = (0.36, 0.46), 0.7
-# Root of the squared corrections (m) of the last decimetres, up to which and from which a pose does not follow odometry:
-# a right one makes 0.005 in a metre, a wrong one 0.01 to 0.2. What wheels off by so much explain is none.
+# Lead over everything elsewhere, as a share of the score and on the average of so many metres, that teaches not at all
+# and fully where look-alikes score 0.5; where they score more, it must be more by this factor.
+_LEADING, _LEADING_LENGTH, _REPETITIVE = (0.36, 0.46), 0.7, 1.5
+# Root of the squared corrections (m) of the last decimetres, up to which and from which a pose does not follow odometry
+# (a right one makes 0.005 in a metre, a wrong one 0.01 to 0.2); what wheels off by so much explain is no correction.
 _FOLLOWING, _FOLLOWING_LENGTH, _WHEELS_OFF = (0.04, 0.06), 0.35, 0.1
 
 
 class Illumination:
     """The `share` of the expected likeness that is left in the present light."""
 
-    def __init__(self) -> None:
+    def __init__(self, chance: float) -> None:
+        """`chance` is the score that look-alikes reach in this map."""
         self.share = 1.0
+        more = _REPETITIVE * (chance - 0.5)
+        self._leading = _LEADING[0] + more, _LEADING[1] + more
         self.start_again()
 
     def start_again(self) -> None:
@@ -38,14 +40,13 @@ class Illumination:
 
     def learn(self, sight: Sight, expected: float) -> None:
         """Take in a frame of the tracked pose, which should score `expected`."""
-        lead = sight.score - sight.elsewhere
-        share = (sight.score - max(sight.elsewhere, 0.0)) / max(sight.score, 0.1)
-        self._lead += (share - self._lead) * _learnt(sight.moved, _LEADING_LENGTH)
+        lead = max(0.0, sight.score - max(sight.elsewhere, 0.0)) / max(sight.score, 0.1)
+        self._lead += (lead - self._lead) * _learnt(sight.moved, _LEADING_LENGTH)
         self._squares *= 1.0 - _learnt(sight.moved, _FOLLOWING_LENGTH)
         self._squares += max(0.0, sight.corrected - _WHEELS_OFF * sight.moved) ** 2
         self._squares = min(self._squares, _FOLLOWING[1] ** 2)
         following = 1.0 - ramp(math.sqrt(self._squares), *_FOLLOWING)
-        worth = max(ramp(lead, *_LEADING), following * ramp(self._lead, *_LEADING_SHARE)) * covered(sight.unexplained)
+        worth = following * ramp(self._lead, *self._leading) * covered(sight.unexplained)
         left = min(max(sight.score / max(expected, 0.1), _DARKEST), 1.0)
         self.share += (left - self.share) * worth * _learnt(sight.moved, _DARKER if left < self.share else _BRIGHTER)
 

@@ -281,7 +281,8 @@ class Localizer:
         x, y, _ = (float(value) for value in self._hypotheses.poses[0])
         score = max(fit.score, float(self._hypotheses.supported(seen.poses, seen.scores)[0]))
         apart = np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y)
-        elsewhere = float(seen.scores[apart > _ELSEWHERE].max(initial=-1.0))
+        # Where all candidates are here, the best elsewhere is no better than the worst of them.
+        elsewhere = float(seen.scores[apart > _ELSEWHERE].max(initial=seen.scores.min(initial=1.0)))
         return Sight(score, elsewhere, fit.unexplained, moved, corrected, continues)
 
     def _estimate(self, stamp: float, odom: Pose2D, seen: _Candidates, sight: Sight) -> PlaceEstimate:

@@ -11,6 +11,8 @@ from omnibotd.core.navigation.sight import Sight, covered, expected_score, ramp
 # A match is as good as can be expected from so much below what the nodes round about predict, and no match at all from
 # so much more: changed lamps cost 0.05 to 0.15 of correlation, a low sun 0.3.
 _SLACK, _TOO_LOW = 0.15, 0.35
+# Nor is what look-alikes reach a match, down to so much below what is expected.
+_SURPASSING = 0.2
 # Share of the way from the look-alikes' level to a perfect match at which a match can be no look-alike.
 _DISTINCT = 0.4
 # A better match elsewhere contradicts: by how much better, and how good it must be itself.
@@ -45,7 +47,7 @@ class Trust:
         self.value = 0.0
         self.broken = False  # the view changed at once and has fitted nothing since: covered, or carried away
         self._chance = chance
-        self.light = Illumination()
+        self.light = Illumination(chance)
         self._anew = 0.0  # trust earned since the view broke off
         self._fresh = True
 
@@ -75,7 +77,8 @@ class Trust:
         self.light.learn(sight, expected)
         # As it would be in the light of the teaching drive.
         sight = replace(sight, score=sight.score / self.light.share, elsewhere=sight.elsewhere / self.light.share)
-        fit = ramp(sight.score, max(expected - _TOO_LOW, 0.3), max(expected - _SLACK, 0.5))
+        no_better = min(self._chance, expected - _SURPASSING)
+        fit = ramp(sight.score, max(expected - _TOO_LOW, no_better, 0.3), max(expected - _SLACK, 0.5))
         distinct = ramp(sight.score, self._chance, self._chance + _DISTINCT * (1.0 - self._chance))
         lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD) * distinct
         contradicted = ramp(sight.elsewhere - sight.score, _BETTER, _MUCH_BETTER)
