@@ -113,20 +113,20 @@ def drawn(
     margin: float = 0.6,
 ) -> Image:
     """Grey picture (H, W): the board on a cluttered background, unevenly lit, blurred, noisy, as a JPEG would be."""
-    picture = _background(lens, rng)
-    x0, y0, x1, y1 = _extent(lens, board, pose)
+    picture = background(lens, rng)
+    x0, y0, x1, y1 = extent(lens, board, pose)
     fine = 2
     u = np.linspace(x0 - 1 / 4, x1 - 3 / 4, (x1 - x0) * fine)
     v = np.linspace(y0 - 1 / 4, y1 - 3 / 4, (y1 - y0) * fine)
     rays = lens.rays(*np.meshgrid(u, v))
-    patch = _checker(rays, board, pose, margin)
+    patch = checker(rays, board, pose, margin)
     behind = np.repeat(np.repeat(picture[y0:y1, x0:x1], fine, 0), fine, 1)
     patch = np.where(np.isnan(patch), behind, patch)
     picture[y0:y1, x0:x1] = patch.reshape(y1 - y0, fine, x1 - x0, fine).mean((1, 3))
     return _photographed(picture, lens, rng, noise, blur, quality)
 
 
-def _extent(lens: Lens, board: Board, pose: Placed) -> tuple[int, int, int, int]:
+def extent(lens: Lens, board: Board, pose: Placed) -> tuple[int, int, int, int]:
     """A box of pixels round the board with its margins."""
     x, y = np.meshgrid(np.linspace(-2, board.columns + 1, 40), np.linspace(-2, board.rows + 1, 40))
     flat = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * board.square
@@ -135,7 +135,7 @@ def _extent(lens: Lens, board: Board, pose: Placed) -> tuple[int, int, int, int]
     return max(int(low[0]), 0), max(int(low[1]), 0), min(int(high[0]), lens.width), min(int(high[1]), lens.height)
 
 
-def _checker(rays: Floats, board: Board, pose: Placed, margin: float) -> Floats:
+def checker(rays: Floats, board: Board, pose: Placed, margin: float) -> Floats:
     """Grey value where a ray meets the board or its white margin, NaN elsewhere."""
     with np.errstate(divide="ignore", invalid="ignore"):
         normal = pose.rotation[:, 2]
@@ -150,7 +150,8 @@ def _checker(rays: Floats, board: Board, pose: Placed, margin: float) -> Floats:
     return np.where(inked & (squares == 1), 40.0, np.where(paper, 205.0, np.nan))
 
 
-def _background(lens: Lens, rng: np.random.Generator) -> Floats:
+def background(lens: Lens, rng: np.random.Generator) -> Floats:
+    """(H, W) clutter."""
     coarse = rng.uniform(30, 170, (lens.height // 40 + 2, lens.width // 40 + 2))
     picture = cv2.resize(coarse, (lens.width, lens.height), interpolation=cv2.INTER_CUBIC)
     for _ in range(25):
@@ -163,14 +164,19 @@ def _background(lens: Lens, rng: np.random.Generator) -> Floats:
     return np.clip(picture, 0, 255)
 
 
-def _photographed(
-    picture: Floats, lens: Lens, rng: np.random.Generator, noise: float, blur: float, quality: int | None
-) -> Image:
+def light(lens: Lens, rng: np.random.Generator) -> Floats:
+    """(H, W) uneven lamps, darker towards the rim, nothing beyond it."""
     v, u = np.mgrid[: lens.height, : lens.width].astype(np.float64)
     lit = 0.75 + 0.25 * np.cos(u / lens.width * rng.uniform(1, 4) + rng.uniform(0, 6))
     r = np.hypot(u - lens.cx, (v - lens.cy) / lens.aspect)
     rim = float(lens.radius(np.array(lens.fov / 2.0)))
-    picture = picture * lit * (1.0 - 0.4 * (r / rim) ** 4) * (r <= rim) + 4.0
+    return np.asarray(lit * (1.0 - 0.4 * (r / rim) ** 4) * (r <= rim))
+
+
+def _photographed(
+    picture: Floats, lens: Lens, rng: np.random.Generator, noise: float, blur: float, quality: int | None
+) -> Image:
+    picture = picture * light(lens, rng) + 4.0
     picture = cv2.GaussianBlur(picture, (0, 0), blur) if blur > 0 else picture
     grey = np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).astype(np.uint8)
     if quality is None:

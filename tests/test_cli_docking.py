@@ -50,8 +50,9 @@ def test_trials_that_all_failed_have_no_mean() -> None:
 def test_feedback_of_trials_and_of_a_board_is_one_line() -> None:
     values = {"state": "CONTROLLING", "trial": 2, "trials": 10, "docked": 1, "retries": 1, "distance_remaining": 0.31}
     assert cli_output.feedback(values) == "CONTROLLING  trial 2 of 10, 1 docked  0.31 m to go  1 retry"
-    board = {"state": "COLLECTING", "found": 12, "kept": 7, "missing": ["top", "left"]}
-    assert cli_output.feedback(board) == "COLLECTING  12 boards seen, 7 kept  still missing: top, left"
+    board = {"state": "COLLECTING", "hint": "hold it still", "found": 12, "kept": 7, "missing": ["front", "left"]}
+    told = "COLLECTING  hold it still  12 boards seen, 7 kept  still missing: front, left"
+    assert cli_output.feedback(board) == told
     assert cli_output.feedback({**board, "missing": []}).endswith("seen everywhere")
 
 

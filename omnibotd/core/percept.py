@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
 
 from omnibotd.core.geometry import Pose2D
 
@@ -36,7 +39,11 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class HomingEstimate:
-    """Where the base stood relative to the pose at which the dock's snapshot was taken (thesis: homing vector)."""
+    """Where the base stood relative to the pose at which the dock's snapshot was taken (thesis: homing vector).
+
+    `score` is the correlation of the views in [-1, 1], `margin` the lead over the next best pose (1 where none was
+    tried). `covariance` (3, 3) of dock_from_base's (x, y, yaw), m and rad; None from a method that knows of none.
+    """
 
     stamp: float
     odom_from_base: Pose2D
@@ -44,3 +51,4 @@ class HomingEstimate:
     score: float
     margin: float
     verdict: Verdict
+    covariance: NDArray[np.float64] | None = field(default=None, compare=False)

@@ -15,7 +15,7 @@ from omnibotd.control import Feedback
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.calibration.looks import Look, Looks
 from omnibotd.core.calibration.motions import BaseMotion, CalibrationMotion, SpinMotion
-from omnibotd.core.calibration.wheels import WheelsResult
+from omnibotd.core.calibration.wheels import Scale, WheelsResult
 from omnibotd.core.decision import Decision, Observation, Outcome
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.errors import CoreError
@@ -96,23 +96,25 @@ class Calibrating:
         distance = params.number("distance") if "distance" in params else None
         params.end()
         result = await self._rolled(feedback) if distance is None else self._taped(distance)
-        values = {
+        values: dict[str, Any] = {
             "wheel_radius": round(float(result.radius_left + result.radius_right) / 2.0, 6),
             "wheel_ratio": round(float(result.radius_left / result.radius_right), 6),
             "wheel_separation": round(float(result.separation), 5),
-            "radius_sigma": round(float(result.radius_sigma), 5),
             "ratio_sigma": round(float(result.ratio_sigma), 6),
             "separation_sigma": round(float(result.separation_sigma), 5),
             "scale": str(result.scale),
         }
+        if result.scale is not Scale.NOMINAL:  # else it is what was configured, and nobody knows how good that is
+            values["radius_sigma"] = round(float(result.radius_sigma), 5)
         data = f"{math.degrees(result.turned):.0f} degrees turned, {result.driven:.1f} m driven"
-        return self._kept("base", values, f"{result.residual:.2%}", data, result.sentence)
+        return self._kept("base", values, f"{result.residual:.1f} times the usual errors", data, result.sentence)
 
     async def _rolled(self, feedback: Feedback) -> WheelsResult:
         camera, drive = self._camera(), self._robot.control.drive
         height = self._robot.config.docking.ceiling_height
         motion = BaseMotion(self._robot.control.limits)
         estimate = partial(wheels_in_child, camera=camera, drive=drive, ceiling_height=height)
+        self._wheels = None  # whatever comes of this drive, a tape can't measure the one before any more
         self._wheels = await self._measure("calibrate base", motion, estimate, feedback)
         return self._wheels
 

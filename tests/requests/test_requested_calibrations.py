@@ -4,48 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import yaml
 
 from omnibotd.control_protocol import RpcError
-from omnibotd.core.calibration.board_collection import ENOUGH, BoardCollection
-from omnibotd.core.calibration.chessboard import Board
 from omnibotd.core.calibration.looks import Look
 from omnibotd.core.calibration.motions import CalibrationMotion, Move, State
 from omnibotd.core.calibration.spin import SpinResult
+from omnibotd.core.calibration.wheels import Scale
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.errors import FrameError
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.percept import Verdict
-from omnibotd.core.vision.frame import Frame
-from omnibotd.lens_fitting import FittingError
-from omnibotd.requests import calibrating, lens
-from tests.empty_hall import EmptyHall
-from tools.sim import virtual_time
-from tools.sim.virtual_robot import VirtualRobot, virtual_robot
-
-Story = Callable[[VirtualRobot], Awaitable[Any]]
-
-
-def told(story: Story, directory: Path, start: Pose2D | None = None) -> Any:
-    async def main() -> Any:
-        async with virtual_robot(EmptyHall(), 1, start or Pose2D(), directory=directory) as robot:
-            return await story(robot)
-
-    return virtual_time.run(main())
-
-
-async def refusal(work: Awaitable[Any]) -> RpcError:
-    with pytest.raises(RpcError) as refused:
-        await work
-    return refused.value
+from omnibotd.requests import calibrating
+from tests.requested import refusal, told
+from tools.sim.virtual_robot import VirtualRobot
 
 
 class Estimate:
@@ -77,8 +56,8 @@ class Wheels:
     radius_sigma: float = 0.001
     ratio_sigma: float = 0.0002
     separation_sigma: float = 0.001
-    residual: float = 0.002
-    scale: str = "nominal"
+    residual: float = 1.25
+    scale: Scale = Scale.NOMINAL
     turned: float = 25.0
     driven: float = 7.2
     verdict: Verdict = Verdict.ACCEPTED
@@ -86,7 +65,7 @@ class Wheels:
 
     def with_distance(self, metres: float) -> Wheels:
         """As if 1.2 m had been driven by the result's own scale."""
-        return replace(self, radius_left=self.radius_left * metres / 1.2, scale="distance")
+        return replace(self, radius_left=self.radius_left * metres / 1.2, scale=Scale.DISTANCE)
 
 
 @pytest.fixture
@@ -200,6 +179,8 @@ def test_base_measures_wheels(tmp_path: Path, rolled: Estimate) -> None:
     assert result["wheel_ratio"] == pytest.approx(0.0362 / 0.0358, abs=1e-6)
     content = yaml.safe_load((tmp_path / "storage" / "calibration" / "base.yaml").read_text())
     assert (content["wheel_radius"], content["wheel_separation"], content["scale"]) == (0.036, 0.229, "nominal")
+    assert "radius_sigma" not in content  # the radius is still the one configured
+    assert content["residual"] == "1.2 times the usual errors"
 
 
 @pytest.mark.usefixtures("short")
@@ -217,6 +198,18 @@ def test_a_tape_tells_the_length_of_the_last_drive(tmp_path: Path, rolled: Estim
     assert seconds < 1.0
     assert taped["wheel_radius"] == pytest.approx((0.0362 * 1.05 + 0.0358) / 2.0)
     assert taped["scale"] == "distance"
+    assert taped["radius_sigma"] == 0.001
+
+
+@pytest.mark.usefixtures("short")
+def test_a_tape_does_not_measure_a_drive_before_one_that_failed(tmp_path: Path, rolled: Estimate) -> None:
+    async def story(robot: VirtualRobot) -> RpcError:
+        await robot.call("calibrate.base")
+        rolled.answer = Wheels(verdict=Verdict.REJECTED)
+        await refusal(robot.call("calibrate.base"))
+        return await refusal(robot.call("calibrate.base", distance=1.2))
+
+    assert "no drive to measure" in told(story, tmp_path).message
 
 
 @pytest.mark.parametrize(
@@ -267,168 +260,3 @@ def test_what_is_in_the_way_ends_a_drive(tmp_path: Path, rolled: Estimate) -> No
     error = told(story, tmp_path, Pose2D(9.5, 0.0, 0.0))  # half a metre from a wall
     assert error.name is ErrorName.BLOCKED
     assert rolled.looks == ()
-
-
-# ---- the lens
-
-
-class Boards(BoardCollection):
-    """Sees a board in every frame, and has seen enough of them after five."""
-
-    def __init__(self, board: Board | None) -> None:
-        super().__init__(board)
-        self.board = board or Board(9, 6)
-
-    @property
-    def missing(self) -> list[str]:
-        return [] if len(self.kept) >= 5 else ["top", "left"]
-
-    @property
-    def enough(self) -> bool:
-        return len(self.kept) >= 5
-
-    def take(self, frame: Frame) -> bool:
-        self.seen += 1
-        self.kept.append(frame)
-        return True
-
-
-INFO = {"image_width": 160, "image_height": 120, "rms_px": 0.314, "covered_deg": 84.0, "edge_sigma_px": 0.4}
-
-
-class Fitter:
-    def __init__(self, answer: Any) -> None:
-        self.answer = answer
-        self.asked: list[tuple[int, Board]] = []
-
-    async def __call__(self, jpegs: Sequence[bytes], board: Board) -> dict[str, Any]:
-        self.asked.append((len(jpegs), board))
-        if isinstance(self.answer, Exception):
-            raise self.answer
-        await asyncio.sleep(2.0)
-        return dict(self.answer)
-
-
-def calibrated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fitter: Fitter, story: Story) -> Any:
-    monkeypatch.setattr(lens, "BoardCollection", Boards)
-
-    async def with_fitter(robot: VirtualRobot) -> Any:
-        robot.daemon.requests._methods["calibrate.camera"].__self__._fit = fitter
-        return await story(robot)
-
-    return told(with_fitter, tmp_path)
-
-
-def test_the_camera_is_calibrated_with_the_boards_held_before_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    heard: list[dict[str, Any]] = []
-    fitter = Fitter(INFO)
-
-    async def story(robot: VirtualRobot) -> Any:
-        return await robot.daemon.call("calibrate.camera", {"board": "8x5", "square": 0.03}, heard.append)
-
-    result = calibrated(tmp_path, monkeypatch, fitter, story)
-    assert fitter.asked == [(5, Board(8, 5, 0.03))]
-    assert (result["rms_px"], result["data"]) == (0.314, "5 views of a chessboard")
-    content = yaml.safe_load((tmp_path / "storage" / "calibration" / "camera.yaml").read_text())
-    assert (content["image_width"], content["board"]) == (160, "8x5")
-    assert list(dict.fromkeys(values["state"] for values in heard)) == ["COLLECTING", "FITTING"]
-    assert heard[0]["missing"] == ["top", "left"]
-    assert heard[-1] == {**heard[-1], "found": 5, "kept": 5, "missing": []}
-
-
-@pytest.mark.parametrize("fault", [FittingError("hold the board nearer the left edge"), ZeroDivisionError("a bug")])
-def test_a_lens_that_can_not_be_fitted_is_not_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception
-) -> None:
-    async def story(robot: VirtualRobot) -> RpcError:
-        error = await refusal(robot.call("calibrate.camera"))
-        assert (await robot.call("status"))["job"] is None
-        return error
-
-    error = calibrated(tmp_path, monkeypatch, Fitter(fault), story)
-    assert error.name is ErrorName.CALIBRATION_FAILED
-    assert not (tmp_path / "storage" / "calibration").exists()
-
-
-def test_a_stop_while_it_is_fitted_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fitter = Fitter(INFO)
-
-    async def story(robot: VirtualRobot) -> RpcError:
-        work = asyncio.create_task(robot.call("calibrate.camera"))
-        while not fitter.asked:  # noqa: ASYNC110 - nothing tells
-            await asyncio.sleep(0.1)
-        await robot.call("stop")
-        error = await refusal(work)
-        assert robot.daemon.perception.witness is None
-        return error
-
-    assert calibrated(tmp_path, monkeypatch, fitter, story).name is ErrorName.CANCELLED
-    assert not (tmp_path / "storage" / "calibration").exists()
-
-
-def test_without_a_board_it_says_so_when_time_is_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lens, "LIMIT", 3.0)
-
-    async def story(robot: VirtualRobot) -> RpcError:
-        return await refusal(robot.call("calibrate.camera"))
-
-    error = told(story, tmp_path)
-    assert error.name is ErrorName.CALIBRATION_FAILED
-    assert "--board" in error.message
-
-
-# ---- which pictures are worth keeping
-
-
-def picture(u: float, v: float, square: float = 16.0, columns: int = 7, rows: int = 5) -> Frame:
-    """A flat board of so many inner corners with its middle at (u, v), in a grey picture of 640 x 480."""
-    image = np.full((480, 640), 128, np.uint8)
-    for row in range(rows + 1):
-        for column in range(columns + 1):
-            x, y = u + (column - (columns + 1) / 2) * square, v + (row - (rows + 1) / 2) * square
-            corners = ((round(x), round(y)), (round(x + square) - 1, round(y + square) - 1))
-            cv2.rectangle(image, *corners, 240 if (row + column) % 2 else 15, -1)
-    return Frame(0.0, cv2.GaussianBlur(image, (0, 0), 0.8))
-
-
-def test_a_board_that_has_not_moved_is_kept_once() -> None:
-    collection = BoardCollection(Board(7, 5))
-    assert [collection.take(picture(u, 240.0)) for u in (320.0, 322.0, 400.0)] == [True, False, True]
-    assert (collection.seen, len(collection.kept)) == (3, 2)
-    assert collection.take(picture(320.0, 240.0, square=20.0))  # nearer
-
-
-def test_it_tells_in_which_parts_of_the_picture_the_board_was_not_yet() -> None:
-    collection = BoardCollection(Board(7, 5))
-    assert collection.missing[0] == "middle"
-    assert len(collection.missing) == 9
-    collection.take(picture(320.0, 240.0))
-    assert "middle" not in collection.missing
-    collection.take(picture(540.0, 240.0))
-    assert {"right"} == set(BoardCollection(None).missing) - set(collection.missing) - {"middle"}
-    for u, v in (
-        (500.0, 400.0),
-        (320.0, 420.0),
-        (140.0, 400.0),
-        (100.0, 240.0),
-        (140.0, 80.0),
-        (320.0, 60.0),
-        (500.0, 80.0),
-    ):
-        collection.take(picture(u, v))
-    assert collection.missing == []
-    assert not collection.enough
-    for k in range(ENOUGH):
-        collection.take(picture(120.0 + 22.0 * k, 200.0 + (k % 2) * 60.0))
-    assert collection.enough
-
-
-def test_the_boards_size_is_seen_where_it_was_not_told() -> None:
-    collection = BoardCollection(None)
-    for k in range(4):
-        collection.take(picture(200.0 + 60.0 * k, 240.0))
-    assert collection.board is not None
-    assert (collection.board.columns, collection.board.rows) == (7, 5)
-    assert collection.kept

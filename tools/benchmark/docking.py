@@ -15,7 +15,7 @@ from omnibotd.core.geometry import Pose2D
 from omnibotd.core.thesis.docking import ThesisHoming
 from omnibotd.core.vision.frame import Frame, Image
 from tools.benchmark import rooms
-from tools.benchmark.cycle import DECODING, ORB
+from tools.benchmark.cycle import DECODING, ORB, WHOLE
 from tools.benchmark.measuring import Times, Tracer, settle
 from tools.evaluation.orb_homing import OrbHoming
 
@@ -35,20 +35,18 @@ _DOCKING, _THESIS = "omnibotd.core.docking.", "omnibotd.core.thesis.docking:"
 _SEEING: Mapping[str, tuple[str, ...]] = {
     "decode": ("omnibotd.core.vision.frame:Frame.grey",),
     "rectify": (_DOCKING + "rectification:Lookup.__call__",),
-    "edge strength, people": (_DOCKING + "coarse:masked_layer", _DOCKING + "fine:masked_layer"),
+    "edge strength, people": (_DOCKING + "ceiling_view:edge_strength", _DOCKING + "ceiling_view:unoccluded"),
+    "layers": (_DOCKING + "ceiling_view:CeilingView.layer",),
 }
-_ALIGNING: Mapping[str, tuple[str, ...]] = {
-    "layers": (_DOCKING + "alignment:Layer.resized",),
-    "alignment: warping": (_DOCKING + "alignment:Layer.warped",),
-    "alignment: steps": (_DOCKING + "alignment:AlignmentTarget.align",),
-}
+_REFINING: Mapping[str, tuple[str, ...]] = {"refinement, walls": (_DOCKING + "refinement:Refinement.refine",)}
 STAGES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    TRACKING: {**_SEEING, **_ALIGNING, "rest": (_DOCKING + "registration:DockRegistration.track",)},
+    TRACKING: {**_SEEING, **_REFINING, "rest": (_DOCKING + "registration:DockRegistration.track",)},
     FULL_FIX: {
         **_SEEING,
         "rotation cues": (_DOCKING + "rotation:RotationCues.signature", _DOCKING + "coarse:rotation_hypotheses"),
         "shifts": (_DOCKING + "translation:ShiftSearch.find",),
-        **_ALIGNING,
+        "candidates": (_DOCKING + "coarse:align", _DOCKING + "coarse:residuals"),
+        **_REFINING,
         "rest": (_DOCKING + "registration:DockRegistration.fix",),
     },
     # The rows of the thesis' table 7.2, and its milliseconds at 1.6 GHz.
@@ -65,10 +63,7 @@ STAGES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 
 def measure(frames: int, rounds: int) -> dict[str, Any]:
     """Frames from within a metre of a dock, any heading; round after round, each contestant has them all to itself."""
-    poses = _poses(frames)
-    jpegs = rooms.jpegs(np.array([_triple(DOCK), *(_triple(DOCK @ pose) for pose in poses)]), 0.4)
-    seen = [Frame(float(k), jpeg) for k, jpeg in enumerate(jpegs)]
-    snapshot, seen = seen[0], seen[1:]
+    snapshot, seen, poses = _pictures(frames)
     estimates = _estimates(snapshot, seen, poses)
     greys = [frame.grey() for frame in seen]
     times, stages = Times(), {name: Times() for name in STAGES}
@@ -88,7 +83,29 @@ def measure(frames: int, rounds: int) -> dict[str, Any]:
             with Tracer(where) as tracer:
                 for k in range(frames):
                     stages[name].note(tracer.of(partial(estimates[name], k)))
-    return _summary(times, stages) | {"jpeg_bytes": round(np.mean([len(jpeg) for jpeg in jpegs]))}
+    return _summary(times, stages) | {"jpeg_bytes": round(np.mean([len(frame.data) for frame in seen]))}
+
+
+def staged(frames: int) -> dict[str, float]:
+    """Median ms of each stage of a tracking estimate, and of a whole one."""
+    snapshot, seen, poses = _pictures(frames)
+    track, whole, stages = _estimates(snapshot, seen, poses)[TRACKING], Times(), Times()
+    track(0)
+    settle()
+    for k in range(frames):
+        whole.measure(WHOLE, partial(track, k))
+    with Tracer(STAGES[TRACKING]) as tracer:
+        for k in range(frames):
+            stages.note(tracer.of(partial(track, k)))
+    return {name: row["median_ms"] for name, row in (stages.table() | whole.table()).items()}
+
+
+def _pictures(frames: int) -> tuple[Frame, list[Frame], list[Pose2D]]:
+    """The dock's, others from round about, and where from: dock_from_base."""
+    poses = dock_poses(frames)
+    jpegs = rooms.jpegs(np.array([triple(DOCK), *(triple(DOCK @ pose) for pose in poses)]), 0.4)
+    seen = [Frame(float(k), jpeg) for k, jpeg in enumerate(jpegs)]
+    return seen[0], seen[1:], poses
 
 
 def _estimates(snapshot: Frame, seen: list[Frame], poses: list[Pose2D]) -> dict[str, Callable[[int], Any]]:
@@ -120,14 +137,14 @@ def _tag_detector() -> Callable[[Image], Any]:
     return Detector(families="tag36h11", nthreads=1, quad_decimate=1.0).detect
 
 
-def _poses(count: int) -> list[Pose2D]:
+def dock_poses(count: int) -> list[Pose2D]:
     """dock_from_base."""
     rng = np.random.default_rng(SEED)
     polar = zip(REACH * np.sqrt(rng.random(count)), rng.uniform(-math.pi, math.pi, (count, 2)), strict=True)
     return [Pose2D(r * math.cos(bearing), r * math.sin(bearing), yaw) for r, (bearing, yaw) in polar]
 
 
-def _triple(pose: Pose2D) -> tuple[float, float, float]:
+def triple(pose: Pose2D) -> tuple[float, float, float]:
     return pose.x, pose.y, pose.yaw
 
 

@@ -63,15 +63,21 @@ def seen_way(frames: Sequence[Frame], camera: CameraModel) -> Way | None:
     key_layer, poses, patches = key.layer(frames[0]), [Pose2D()], [np.zeros((0, 2))]
     for frame in frames[1:]:
         layer = key.layer(frame)
-        found = key.align(layer, _displacement(start_from_key.inverse() @ _onward(poses), key.focal))
-        if found.score < _LEAST_SCORE:
+        moved = registered(key, layer, start_from_key.inverse() @ _onward(poses))
+        if moved is None:
             return None
-        yaw, u, v = found.displacement.pose()
-        poses.append(start_from_key @ Pose2D(-v / key.focal, u / key.focal, yaw))
-        if poses[-1].distance(start_from_key) > _KEY_DISTANCE:
-            patches.append(_nearness(key_layer, layer, found.displacement))
+        poses.append(start_from_key @ moved)
+        if math.hypot(moved.x, moved.y) > _KEY_DISTANCE:
+            patches.append(_nearness(key_layer, layer, _displacement(moved, key.focal)))
             key, key_layer, start_from_key = FineRegistration(camera, frame), layer, poses[-1]
     return Way(poses[-1], np.concatenate(patches))
+
+
+def registered(key: FineRegistration, layer: Layer, expected: Pose2D) -> Pose2D | None:
+    """Where the layer was seen from, in the key's axes and ceiling heights; None where it is not recognised."""
+    found = key.align(layer, _displacement(expected, key.focal))
+    yaw, u, v = found.displacement.pose()
+    return Pose2D(-v / key.focal, u / key.focal, yaw) if found.score >= _LEAST_SCORE else None
 
 
 def ceiling_of(patches: Floats) -> tuple[float, float]:

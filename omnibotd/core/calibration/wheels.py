@@ -22,6 +22,7 @@ from omnibotd.core.calibration.panorama import Floats, Grid, Pictures
 from omnibotd.core.calibration.phases import Phase, phases_of
 from omnibotd.core.calibration.sightline import Way, ceiling_of, seen_way
 from omnibotd.core.calibration.spin import follow, judged, turn_rates, wheel_headings
+from omnibotd.core.calibration.there_and_back import tied
 from omnibotd.core.calibration.turn import Turn
 from omnibotd.core.calibration.wheel_fit import Seen, WheelFit, fitted
 from omnibotd.core.geometry import Pose2D
@@ -40,13 +41,19 @@ _REDUCTION = 2
 # Shares: the worst sigma worth having, and a change that no wheel needs. Errors over the usual ones that mean that
 # something happened.
 _WORST_SIGMA, _WILDEST, _WORST_RESIDUAL = 0.004, 0.25, 3.0
-# With this much of the ceiling at another height to one of what most of it is at, nobody knows which is configured.
-_LARGEST_STEP = 0.6
-# Where all that is seen and most of it differ in height by this share, there are steps, and a tape is better;
-# and what remains of the difference after allowing for it.
-_STEPPED, _STEP_ERROR = 0.004, 0.6
+# A ceiling is as high as configured where it shows clearly that it is level: so much of what is seen lies at another
+# height, to one of what lies at most of it; all of it and most of it differ in height by this share at most; one
+# drive's length and the next's by this one. Tiles show 0.1, 0.0005 and 0.0001 of these; faint plaster with walls near
+# by 0.4 and more, and lengths that are off by as much as a percent.
+_LARGEST_STEP, _STEPPED, _DISAGREEING = 0.2, 0.0015, 0.0015
+# Steps and beams bend a drive as it is seen, always to the same side, by up to half a degree: a share of the ratio.
+_BENT = 0.002
 # A tape's error (m).
 _TAPE = 0.003
+_LOST = (
+    "the ceiling was not recognised all the way, or it did not come back to where it was; try a metre or more from "
+    "walls, in steady light, where the ceiling shows more"
+)
 
 
 class Scale(StrEnum):
@@ -62,8 +69,9 @@ class WheelsResult:
     """Lengths in metres; sigmas are shares (0.001 = 0.1 %), without what the configured height is wrong by.
 
     `residual` is how much larger errors are than on a hard floor. `straight` is how far it stands at the end from where
-    it began to drive. With `scale` NOMINAL the mean radius is still the one configured, and only ratio and separation
-    over radius are measured. `verdict` is ACCEPTED or REJECTED; `sentence` says why, and what to do.
+    it began to drive. With `scale` NOMINAL the mean radius is still the one configured, and the sigmas are without what
+    that is wrong by: only ratio and separation over radius are measured. `verdict` is ACCEPTED or REJECTED; `sentence`
+    says why, and what to do.
     """
 
     radius_left: float
@@ -82,6 +90,8 @@ class WheelsResult:
 
     def with_distance(self, metres: float) -> WheelsResult:
         """The same with the length from a tape: so far it stands from where it began to drive."""
+        if self.verdict is Verdict.REJECTED:
+            return self
         factor = metres / self.straight
         scaled = replace(
             self,
@@ -94,14 +104,12 @@ class WheelsResult:
             driven=self.driven * factor,
             straight=metres,
         )
-        if self.verdict is Verdict.REJECTED:
-            return scaled
         if abs(factor - 1.0) > _WILDEST:
             sentence = (
                 f"{metres:.3f} m measured, but {self.straight:.3f} m driven: measure from where it began to drive"
             )
             return replace(scaled, verdict=Verdict.REJECTED, sentence=sentence)
-        return replace(scaled, sentence=_told(scaled))
+        return replace(scaled, sentence=_lengths(scaled))
 
 
 def estimate(
@@ -122,11 +130,26 @@ def estimate(
     spin = judged(found, wheels_turned, _LENIENCE)
     if spin.verdict is Verdict.REJECTED:
         return replace(nothing, sentence=spin.sentence)
-    ways = [seen_way([look.frame for look in looks[p.first : p.last + 1]], found.turn.camera) for p in drives]
-    known = [way.of_base(found.turn.offset) for way in ways if way is not None]
-    if len(known) < len(ways):
-        return replace(nothing, sentence="the ceiling was lost from sight; try in steady light where it shows more")
-    return _measured(drive, seen_turns, list(zip(drives, known, strict=True)), ceiling_height)
+    ways = _ways(looks, drives, found.turn)
+    if ways is None:
+        return replace(nothing, sentence=_LOST)
+    seen, agreed = ways
+    based = [(phase, way.of_base(found.turn.offset)) for phase, way in zip(drives, agreed, strict=True)]
+    result = _measured(drive, seen_turns, based, ceiling_height, level=_level(seen, agreed))
+    return result if result.verdict is Verdict.REJECTED else replace(result, sentence=_told(result, ceiling_height))
+
+
+def _ways(looks: Sequence[Look], drives: Sequence[Phase], turn: Turn) -> tuple[list[Way], list[Way]] | None:
+    """The drives as they are seen one by one, and tied together; None where the ceiling was lost."""
+    seen = []
+    for phase in drives:
+        way = seen_way([look.frame for look in looks[phase.first : phase.last + 1]], turn.camera)
+        if way is None:
+            return None
+        seen.append(way)
+    ends = [looks[drives[0].first].frame, *(looks[phase.last].frame for phase in drives)]
+    agreed = tied(seen, ends, turn.camera)
+    return None if agreed is None else (seen, agreed)
 
 
 def _nothing(drive: DifferentialDrive, turns: Sequence[Phase], drives: Sequence[Phase]) -> WheelsResult:
@@ -168,45 +191,45 @@ def _chosen(turns: Sequence[Phase], heading: Floats, first: int) -> list[int]:
     return sorted(ends | rounds, key=lambda i: float(heading[i]) % (2.0 * math.pi))
 
 
+def _level(seen: Sequence[Way], agreed: Sequence[Way]) -> bool:
+    """Whether the ceiling shows that it is of one height; `agreed` are the same ways, tied together."""
+    plane, other = ceiling_of(np.concatenate([way.patches for way in seen]))
+    spread = float(np.std([way.length / same.length for way, same in zip(seen, agreed, strict=True)]))
+    return other < _LARGEST_STEP and abs(plane) < _STEPPED and spread < _DISAGREEING
+
+
 def _measured(
-    drive: DifferentialDrive, turns: list[Seen], drives: list[tuple[Phase, Way]], ceiling_height: float | None
+    drive: DifferentialDrive,
+    turns: list[Seen],
+    drives: list[tuple[Phase, Way]],
+    ceiling_height: float | None,
+    *,
+    level: bool,
 ) -> WheelsResult:
-    """The wheels' lengths, and whether to believe them."""
-    plane, other = ceiling_of(np.concatenate([way.patches for _, way in drives]))
-    seen = turns + [Seen(phase, way.turned, way.length * (1.0 + plane)) for phase, way in drives]
+    """The wheels' lengths, and whether to believe them; the height counts where the ceiling is `level`."""
+    seen = turns + [Seen(phase, way.turned, way.length) for phase, way in drives]
     fit = fitted(seen, drive.wheel_radius)
     end = reduce(Pose2D.__matmul__, [way.end for _, way in drives])
-    straight = math.hypot(end.x, end.y) * (1.0 + plane)
-    if ceiling_height is not None and other < _LARGEST_STEP:
-        result = _in_metres(fit, seen, straight, ceiling_height, Scale.CEILING, _STEP_ERROR * abs(plane))
-    else:
-        result = _in_metres(fit, seen, straight, drive.wheel_radius / fit.radius, Scale.NOMINAL, 0.0)
-    fault = _fault(result, fit, drive)
-    if fault:
-        return replace(result, sentence=fault)
-    stepped = ceiling_height is not None and (other >= _LARGEST_STEP or abs(plane) > _STEPPED)
-    return replace(result, verdict=Verdict.ACCEPTED, sentence=_told(result, stepped))
-
-
-def _in_metres(
-    fit: WheelFit, seen: Sequence[Seen], straight: float, height: float, scale: Scale, height_sigma: float
-) -> WheelsResult:
-    """All lengths times the ceiling's height; not judged yet."""
-    return WheelsResult(
+    scale = Scale.NOMINAL if ceiling_height is None or not level else Scale.CEILING
+    height = drive.wheel_radius / fit.radius if ceiling_height is None or not level else ceiling_height
+    uneven = _STEPPED if scale is Scale.CEILING else 0.0  # so much is tolerated
+    result = WheelsResult(
         fit.left * height,
         fit.right * height,
         fit.separation * height,
-        math.hypot(fit.radius_sigma, height_sigma),
-        fit.ratio_sigma,
-        math.hypot(fit.separation_sigma, height_sigma),
+        math.hypot(fit.radius_sigma, uneven),
+        fit.ratio_sigma if level else math.hypot(fit.ratio_sigma, _BENT),
+        math.hypot(fit.separation_sigma, uneven),
         fit.residual,
         scale,
-        sum(abs(one.turned) for one in seen if one.phase.turns),
+        sum(abs(one.turned) for one in turns),
         sum(abs(one.driven) for one in seen) * height,
-        straight * height,
+        math.hypot(end.x, end.y) * height,
         Verdict.REJECTED,
         "",
     )
+    fault = _fault(result, fit, drive)
+    return replace(result, sentence=fault) if fault else replace(result, verdict=Verdict.ACCEPTED)
 
 
 def _fault(result: WheelsResult, fit: WheelFit, drive: DifferentialDrive) -> str:
@@ -227,21 +250,26 @@ def _fault(result: WheelsResult, fit: WheelFit, drive: DifferentialDrive) -> str
     return ""
 
 
-def _told(result: WheelsResult, stepped: bool = False) -> str:
-    """The result in a sentence or two; `stepped`: the ceiling has several heights, and one is configured."""
-    sentence = (
+def _lengths(result: WheelsResult) -> str:
+    return (
         f"radii {1000.0 * result.radius_left:.2f} and {1000.0 * result.radius_right:.2f} mm, "
         f"separation {1000.0 * result.separation:.1f} mm to {100.0 * result.separation_sigma:.2f} %"
     )
-    several = "the ceiling has several heights, and nothing says which is configured"
-    unset = "the ceiling alone does not tell how long a metre is, and docking.ceiling_height is not set"
-    if result.scale is Scale.NOMINAL:
-        sentence += f", if the mean radius is as configured: {several if stepped else unset}"
-    elif stepped:
-        sentence += f"; {several}"
-    else:
-        return sentence
+
+
+def _told(result: WheelsResult, ceiling_height: float | None) -> str:
+    """The result in a sentence or two, what it rests on, and what would make it better."""
+    if result.scale is Scale.CEILING and ceiling_height is not None:
+        return (
+            f"{_lengths(result)}, if the ceiling is {ceiling_height:.2f} m above the camera, as docking.ceiling_height "
+            f"says: each centimetre that it is wrong by is {1.0 / ceiling_height:.1f} %"
+        )
+    why = (
+        "the ceiling alone does not tell how long a metre is, and docking.ceiling_height is not set"
+        if ceiling_height is None
+        else "the ceiling does not show clearly that it is level, and docking.ceiling_height may be of another part"
+    )
     return (
-        f"{sentence}. Measure with a tape how far it stands from where it began to drive (about "
-        f"{result.straight:.2f} m), and run `calibrate base --distance METRES`"
+        f"{_lengths(result)}, if the mean radius is as configured: {why}. Measure with a tape how far it stands from "
+        f"where it began to drive (about {result.straight:.2f} m), and run `calibrate base --distance METRES`"
     )

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from omnibotd.core.docking.displacement import NO_WALL, Displacement, axes
+from omnibotd.core.docking.displacement import Displacement, axes
 from omnibotd.core.vision.frame import FloatImage, Image
 
 Floats = NDArray[np.float64]
@@ -50,26 +50,10 @@ class Layer:
 
     def warped(self, displacement: Displacement) -> tuple[FloatImage, Image]:
         """Feature and mask as the target would see them."""
-        if displacement.wall != NO_WALL:
-            return self._bent(displacement)
         affine, size = displacement.affine(self.size), (self.size, self.size)
         smooth, nearest = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         feature = cv2.warpAffine(self.feature, affine, size, flags=smooth, borderMode=cv2.BORDER_REPLICATE)
         mask = cv2.warpAffine(self.mask, affine, size, flags=nearest)
-        return np.asarray(feature, np.float32), np.asarray(mask, np.uint8)
-
-    def _bent(self, displacement: Displacement) -> tuple[FloatImage, Image]:
-        """With a wall: the shift grows over it."""
-        u, v = axes(self.size)
-        excess = np.maximum(displacement.wall[0] * u + displacement.wall[1] * v - 1.0, 0.0)
-        (a, b, c), (d, e, f) = displacement.affine(self.size)
-        centre = (self.size - 1) / 2.0
-        column = a * u + b * v + displacement.u * excess + (c + (a + b) * centre)
-        row = d * u + e * v + displacement.v * excess + (f + (d + e) * centre)
-        # Both maps float32: OpenCV 5 returns garbage, silently, when one is float64.
-        at = (column.astype(np.float32), row.astype(np.float32))
-        feature = cv2.remap(self.feature, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        mask = cv2.remap(self.mask, *at, cv2.INTER_NEAREST)
         return np.asarray(feature, np.float32), np.asarray(mask, np.uint8)
 
 
@@ -81,7 +65,6 @@ class Effort:
     huber: float
     with_scale: bool
     tolerance: float
-    with_wall: bool = False
 
 
 class AlignmentTarget:
@@ -101,15 +84,13 @@ class AlignmentTarget:
             seen = (mask & self.layer.mask) > 0
             if np.count_nonzero(seen) < _MIN_OVERLAP * self._pixels:
                 return Alignment(displacement, -1.0)
-            score, step = self._step(feature, seen, displacement, effort)
+            score, step = self._step(feature, seen, effort)
             displacement = displacement.stepped(step)
             if abs(step[0]) * self.layer.size / 2.0 < unit and math.hypot(step[1], step[2]) < unit:
                 break
         return Alignment(displacement, score)
 
-    def _step(
-        self, feature: FloatImage, seen: NDArray[np.bool_], displacement: Displacement, effort: Effort
-    ) -> tuple[float, Floats]:
+    def _step(self, feature: FloatImage, seen: NDArray[np.bool_], effort: Effort) -> tuple[float, Floats]:
         """Score before the step, and the step."""
         current, gain = _centred(feature, seen)
         target, target_gain = _centred(self.layer.feature, seen)
@@ -123,50 +104,17 @@ class AlignmentTarget:
         weighted = weight * current
         correlation = float(np.vdot(weighted, target))
         energy = float(np.vdot(weighted, current)) * float(np.vdot(weight * target, target))
-        step = _solve(self._jacobian(feature, displacement, effort), weight, residual)
+        step = _solve(self._jacobian(feature, effort), weight, residual)
         return correlation / math.sqrt(energy + 1e-9), _bounded(step)
 
-    def _jacobian(self, feature: FloatImage, displacement: Displacement, effort: Effort) -> FloatImage:
+    def _jacobian(self, feature: FloatImage, effort: Effort) -> FloatImage:
         """(parameters, pixels) change of the warped view with each parameter of the step."""
         u, v = axes(self.layer.size)
         gu, gv = (_half_sum(a, b) for a, b in zip(_sobel(feature), self._gradient, strict=True))
-        over = _OverWall.of(displacement, gu, gv)
-        gu, gv = over.gu, over.gv
-        rows = [gv * u - gu * v, gu * over.nearer, gv * over.nearer]
+        rows = [gv * u - gu * v, gu, gv]
         if effort.with_scale:
             rows.append(gu * u + gv * v)
-        if effort.with_wall:
-            rows += [over.along * u, over.along * v]
         return np.stack(rows).reshape(len(rows), -1).astype(np.float32, copy=False)
-
-
-@dataclass(frozen=True, slots=True)
-class _OverWall:
-    """Gradients in the target's coordinates, how much nearer than the ceiling each pixel is, the wall's gradient.
-
-    Over the wall the map's derivative is L + (u, v) wall^T instead of L = exp(log_scale) R(angle). With t = L^-1 (u, v)
-    and along = t.g / (1 + wall.t), g - wall along undoes the difference (Sherman-Morrison); moving `wall` by d changes
-    the view at q by along (d.q).
-    """
-
-    gu: FloatImage
-    gv: FloatImage
-    nearer: FloatImage
-    along: FloatImage
-
-    @classmethod
-    def of(cls, displacement: Displacement, gu: FloatImage, gv: FloatImage) -> _OverWall:
-        if displacement.wall == NO_WALL:
-            return cls(gu, gv, np.ones_like(gu), np.zeros_like(gu))
-        u, v = axes(len(gu))
-        wu, wv = np.float32(displacement.wall[0]), np.float32(displacement.wall[1])
-        tu, tv = np.linalg.solve(displacement.linear(), (displacement.u, displacement.v)).astype(np.float32)
-        near = wu * u + wv * v
-        # 1 + wall.t is the distance left to the wall over that of the dock: never near 0 in front of it.
-        along = np.where(near > 1.0, (tu * gu + tv * gv) / max(np.float32(0.2), 1.0 + wu * tu + wv * tv), 0.0)
-        along = along.astype(np.float32, copy=False)
-        bent_u, bent_v = (np.asarray(g - w * along, np.float32) for g, w in ((gu, wu), (gv, wv)))
-        return cls(bent_u, bent_v, np.maximum(near, np.float32(1.0)), along)
 
 
 def _solve(jacobian: FloatImage, weight: FloatImage, residual: FloatImage) -> Floats:

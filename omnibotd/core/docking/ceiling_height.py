@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from omnibotd.core.docking.displacement import Displacement
+from omnibotd.core.docking.fine import FineRegistration
 from omnibotd.core.docking.registration import CeilingRegistration
 from omnibotd.core.geometry import Pose2D, wrap
 from omnibotd.core.vision.camera_model import CameraModel
@@ -27,11 +29,23 @@ def visual_height(camera: CameraModel, first: Frame, second: Frame, second_from_
     distance = math.hypot(driven.x, driven.y)
     if not _SHORTEST <= distance <= _LONGEST:
         return None
-    seen = CeilingRegistration(camera, first, distance / _LOWEST).fix(second)
-    if seen.score < _MIN_SCORE or seen.margin < _MIN_MARGIN or not _agree(driven, seen.pose):
+    found = CeilingRegistration(camera, first, distance / _LOWEST).fix(second)
+    if found.margin < _MIN_MARGIN:
         return None
-    height = distance / math.hypot(seen.pose.x, seen.pose.y)
+    seen, score = _measured(camera, first, second, found.pose)
+    if score < _MIN_SCORE or not _agree(driven, seen):
+        return None
+    height = distance / math.hypot(seen.x, seen.y)
     return height if _LOWEST <= height <= _HIGHEST else None
+
+
+def _measured(camera: CameraModel, first: Frame, second: Frame, found: Pose2D) -> tuple[Pose2D, float]:
+    """The pose by the middle of the view alone, and the correlation: walls at its rim are nearer than the ceiling."""
+    middle = FineRegistration(camera, first)
+    f = middle.focal
+    aligned = middle.align(middle.layer(second), Displacement.of_pose(found.yaw, found.y * f, -found.x * f))
+    yaw, u, v = aligned.displacement.pose()
+    return Pose2D(-v / f, u / f, yaw), aligned.score
 
 
 def _agree(driven: Pose2D, seen: Pose2D) -> bool:

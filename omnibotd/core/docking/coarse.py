@@ -1,174 +1,141 @@
-"""From nothing to within a few pixels: hypotheses on a wide view, a small alignment each, the best wins."""
+"""From nothing to within a few centimetres: hypotheses on a wide view, a small alignment each, the best wins."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from omnibotd.core.docking.alignment import Alignment, AlignmentTarget, Effort, Layer
-from omnibotd.core.docking.displacement import NO_WALL, Displacement
-from omnibotd.core.docking.features import edge_strength, unoccluded
-from omnibotd.core.docking.rectification import Lookup, Rectification, rim_rays
+from omnibotd.core.docking.ceiling_view import COARSE, MIDDLE, CeilingView
+from omnibotd.core.docking.matching import Floats, Poses, Sample, align, residuals
 from omnibotd.core.docking.rotation import RotationCues, RotationSignature, rotation_hypotheses
-from omnibotd.core.docking.translation import ShiftSearch
+from omnibotd.core.docking.translation import ShiftSearch, ceiling_parts
+from omnibotd.core.docking.walls import Walls
 from omnibotd.core.geometry import wrap
-from omnibotd.core.vision.camera_model import CameraModel
-from omnibotd.core.vision.frame import Frame, Image
+from omnibotd.core.vision.frame import FloatImage
 
-# The ceiling's edge is in view over 130 degrees, and breaks the symmetry of a grid of tiles.
-FOV = math.radians(130.0)
-SIZE = 160
-_COARSE, _MIDDLE = 60, 80
-# Half the resolution is still finer than the wide view's pixels.
-_REDUCTION = 2
-_RIM_ZENITHS = np.radians(np.linspace(50.0, 86.0, 13))
-# Candidates that get three iterations, then those that get eight more; more never changed the winner.
-_TRIED, _REFINED = 7, 3
-_TRY = Effort(iterations=3, huber=2.0, with_scale=False, tolerance=1e-3)
-_REFINE = Effort(iterations=8, huber=2.0, with_scale=False, tolerance=1e-3)
-_DECIDE = Effort(iterations=12, huber=1.0, with_scale=True, tolerance=3e-3)
-# What agreement of the rims is worth beside the correlation of the views.
+# Pixels a side on which rotations are compared.
+_TURNING = 120
+# Cells a side from which one point each is sampled.
+_COARSE_CELLS, _MIDDLE_CELLS = 24, 32
+# Shifts tried of each rotation, and candidates that are aligned once more on the middle layer; more changed nothing.
+_SHIFTS, _REFINED = 3, 4
+_TRY, _REFINE, _NEARBY = 4, 6, 8
+# What agreement of the rims is worth beside the misfit of the views.
 _RIM_WEIGHT = 0.15
-# Two candidates closer than this are one: 3 pixels of the coarse view, and an angle.
-_SAME_SHIFT, _SAME_YAW = 3.0, 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class WideView:
-    """What one frame gives to the coarse fix."""
-
-    whole: Layer
-    coarse: Layer
-    middle: Layer
-    rotation: RotationSignature
-
-
-class WideOptics:
-    """Takes frames of one camera to wide views."""
-
-    def __init__(self, camera: CameraModel) -> None:
-        small = camera.reduced(_REDUCTION)
-        self.rectify = Rectification(small, SIZE, FOV)
-        self._cues = RotationCues(SIZE)
-        self._rim = Lookup(small, rim_rays(_RIM_ZENITHS, 360))
-        self._sees_walls = bool(self._rim.valid.all())
-
-    def view(self, frame: Frame) -> WideView:
-        grey = frame.grey(_REDUCTION)
-        image = self.rectify(grey)
-        layer = masked_layer(image, self.rectify.valid)
-        rim = self._rim(grey) if self._sees_walls else None
-        signature = self._cues.signature(image, layer.feature, layer.mask, rim)
-        return WideView(layer, layer.resized(_COARSE), layer.resized(_MIDDLE), signature)
-
-
-@lru_cache(maxsize=4)
-def wide_optics(camera: CameraModel) -> WideOptics:
-    """Tables are dear to compute and depend on the calibration only."""
-    return WideOptics(camera)
-
-
-def masked_layer(image: Image, valid: Image) -> Layer:
-    """Edge strength and mask of a rectified image, without the people in it."""
-    feature, free = edge_strength(image), unoccluded(image)
-    if free is None:
-        return Layer(feature, valid)
-    mask = np.asarray(valid & free, np.uint8)
-    feature[mask == 0] = feature[mask > 0].mean() if mask.any() else 0.0
-    return Layer(feature, mask)
-
-
-def inner_disc(layer: Layer) -> Layer:
-    """Only the disc that stays in view whichever way the camera turns."""
-    axis = np.arange(layer.size) - (layer.size - 1) / 2.0
-    disc = np.hypot(*np.meshgrid(axis, axis)) < layer.size / 2.0 - 1.0
-    return Layer(layer.feature, np.where(disc, layer.mask, 0).astype(np.uint8))
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A hypothesis on its way: where it got to, and its total (correlation plus what the rim says)."""
-
-    alignment: Alignment
-    bonus: float
-
-    @property
-    def total(self) -> float:
-        return self.alignment.score + self.bonus
+# Two candidates closer than this are one: pixels of the coarse layer, and an angle.
+_SAME_SHIFT, _SAME_YAW = 1.5, 0.1
+# Farther than looked for by this: a pose nobody asked for.
+_BEYOND = 1.1
 
 
 @dataclass(frozen=True, slots=True)
 class CoarseFix:
-    """yaw and position (ceiling heights, view axes u, v) of the camera in the target view; lead over the next."""
+    """`pose` (yaw, u, v); `margin` is by how much more the next best one misfits."""
 
-    yaw: float
-    u: float
-    v: float
+    pose: Poses
     margin: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Candidates:
+    """Rows: poses (k, 3), the part of the target that each was found by, what its rim is worth, and its misfit."""
+
+    poses: Poses
+    parts: NDArray[np.intp]
+    bonus: Poses
+    misfit: Poses
+
+    def __getitem__(self, which: list[int]) -> _Candidates:
+        return _Candidates(self.poses[which], self.parts[which], self.bonus[which], self.misfit[which])
+
+
 class CoarseRegistration:
-    """Registers frames with one target from nothing; `reach` is how far away it looks, in ceiling heights."""
+    """Registers views with one target from nothing; `reach` is how far away it looks, in ceiling heights."""
 
-    def __init__(self, camera: CameraModel, target: Frame, reach: float) -> None:
-        self._optics = wide_optics(camera)
+    def __init__(self, target: CeilingView, reach: float) -> None:
         self._reach = reach
-        self._focal = self._optics.rectify.focal * _COARSE / SIZE
-        self._view = self._optics.view(target)
-        disc = inner_disc(self._view.whole)
-        self._coarse, self._middle = (AlignmentTarget(disc.resized(size)) for size in (_COARSE, _MIDDLE))
-        self._shifts = ShiftSearch(self._view.coarse, reach * self._focal)
+        self._cues = RotationCues(_TURNING)
+        self._signature = self._signed(target)
+        coarse = target.layer(COARSE)
+        self._focal = coarse.focal
+        self._shifts = ShiftSearch(target.feature(COARSE), coarse.focal, reach * coarse.focal)
+        self._samples = {
+            COARSE: Sample.of(coarse, _COARSE_CELLS),
+            MIDDLE: Sample.of(target.layer(MIDDLE), _MIDDLE_CELLS),
+        }
+        self._parts = {size: ceiling_parts(*sample.at.astype(np.float64)) for size, sample in self._samples.items()}
 
-    def fix(self, frame: Frame, wall: tuple[float, float] = NO_WALL) -> CoarseFix:
-        """`wall`: towards the wall the target stands at, 1 / its distance in ceiling heights; or NO_WALL."""
-        view = self._optics.view(frame)
-        tried = [self._aligned(view, candidate, _TRY) for candidate in self._candidates(view, wall)]
-        tried.sort(key=lambda candidate: -candidate.total)
-        refined = [self._aligned(view, candidate, _REFINE) for candidate in _distinct(tried)[:_REFINED]]
-        refined.sort(key=lambda candidate: -candidate.total)
-        decided = [self._decided(view, candidate) for candidate in _distinct(refined)[:2]]
-        decided.sort(key=lambda candidate: -candidate.total)
-        margin = decided[0].total - decided[1].total if len(decided) > 1 else 1.0
-        yaw, u, v = decided[0].alignment.displacement.pose()
-        return CoarseFix(yaw, u / self._focal, v / self._focal, margin)
+    def fix(self, view: CeilingView, walls: Walls) -> CoarseFix:
+        """`walls` are those known to stand round the target."""
+        tried = self._aligned(view, COARSE, self._candidates(view), walls, _TRY)
+        refined = self._aligned(view, MIDDLE, tried[self._distinct(tried)[:_REFINED]], walls, _REFINE)
+        best = refined[self._distinct(refined)]
+        margin = float(best.misfit[1] - best.misfit[0]) if len(best.misfit) > 1 else 1.0
+        return CoarseFix(best.poses[0], margin)
 
-    def _candidates(self, view: WideView, wall: tuple[float, float]) -> list[Candidate]:
-        found, near = [], (wall[0] / self._focal, wall[1] / self._focal)
-        for turn in rotation_hypotheses(self._view.rotation, view.rotation):
-            for shift in self._shifts.find(view.coarse, turn.yaw):
-                start = Displacement.of_pose(turn.yaw, shift.u, shift.v, near)
-                worth = shift.peak / 10.0 + 0.6 * turn.rim
-                found.append((worth, Candidate(Alignment(start, 0.0), _RIM_WEIGHT * turn.rim)))
-        found.sort(key=lambda pair: -pair[0])
-        return [candidate for _, candidate in found[:_TRIED]]
+    def nearby(self, view: CeilingView, start: Poses, walls: Walls) -> Poses:
+        """The pose (3,) that `start` leads to; it may be off by a tenth of the ceiling's height."""
+        sample = self._samples[COARSE]
+        everywhere: Floats = np.ones((1, 1), np.float32)
+        poses = align(sample, view.layer(COARSE), start[None], walls.nearness(sample.at), everywhere, _NEARBY)
+        return np.asarray(poses[0], np.float64)
 
-    def _aligned(self, view: WideView, candidate: Candidate, effort: Effort) -> Candidate:
-        alignment = self._coarse.align(view.coarse, candidate.alignment.displacement, effort)
-        _, u, v = alignment.displacement.pose()
-        if math.hypot(u, v) > 1.1 * self._reach * self._focal:
-            alignment = Alignment(alignment.displacement, alignment.score - 0.5)
-        return Candidate(alignment, candidate.bonus)
+    def _signed(self, view: CeilingView) -> RotationSignature:
+        image, feature = (
+            cv2.resize(picture, (_TURNING, _TURNING), interpolation=cv2.INTER_AREA)
+            for picture in (view.image, view.feature(len(view.image)))
+        )
+        return self._cues.signature(
+            np.asarray(image, np.uint8), np.asarray(feature, np.float32), view.mask(_TURNING), view.rim
+        )
 
-    def _decided(self, view: WideView, candidate: Candidate) -> Candidate:
-        """Aligned once more on the middle layer, which tells neighbouring tiles apart better."""
-        zoom = _MIDDLE / _COARSE
-        finer = self._middle.align(view.middle, candidate.alignment.displacement.zoomed(zoom), _DECIDE)
-        back = Alignment(finer.displacement.zoomed(1.0 / zoom), finer.score)
-        return Candidate(back, candidate.bonus)
+    def _candidates(self, view: CeilingView) -> _Candidates:
+        feature, mask = view.feature(COARSE), view.mask(COARSE)
+        if (mask == 0).any():
+            feature = np.where(mask > 0, feature, feature[mask > 0].mean() if mask.any() else 0.0).astype(np.float32)
+        poses, parts, bonus = [], [], []
+        for turn in rotation_hypotheses(self._signature, self._signed(view)):
+            for shift in self._shifts.find(_turned(feature, turn.yaw), _SHIFTS):
+                poses.append((turn.yaw, shift.u / self._focal, shift.v / self._focal))
+                parts.append(shift.part)
+                bonus.append(_RIM_WEIGHT * turn.rim)
+        return _Candidates(np.array(poses), np.array(parts), np.array(bonus), np.zeros(len(poses)))
+
+    def _aligned(
+        self, view: CeilingView, size: int, candidates: _Candidates, walls: Walls, iterations: int
+    ) -> _Candidates:
+        """On the layer of `size`: by the part that each was found by, judged by the whole."""
+        sample, layer = self._samples[size], view.layer(size)
+        nearness = walls.nearness(sample.at)
+        weight: Floats = np.ones((1, 1), np.float32) if len(walls) else self._parts[size][candidates.parts]
+        poses = align(sample, layer, candidates.poses, nearness, weight, iterations)
+        misfit = residuals(sample, layer, poses, nearness).misfit(sample.chance) - candidates.bonus
+        misfit += np.hypot(poses[:, 1], poses[:, 2]) > _BEYOND * self._reach
+        return _Candidates(poses, candidates.parts, candidates.bonus, misfit)
+
+    def _distinct(self, candidates: _Candidates) -> list[int]:
+        """Rows, best first, without those that ended where a better one did."""
+        kept: list[int] = []
+        for row in np.argsort(candidates.misfit):
+            if not any(self._same(candidates.poses[row], candidates.poses[other]) for other in kept):
+                kept.append(int(row))
+        return kept
+
+    def _same(self, first: Poses, second: Poses) -> bool:
+        apart = math.hypot(*(first[1:] - second[1:]))
+        return apart * self._focal < _SAME_SHIFT and abs(wrap(float(first[0] - second[0]))) < _SAME_YAW
 
 
-def _distinct(candidates: list[Candidate]) -> list[Candidate]:
-    """Without those that ended where a better one did; best first in, best first out."""
-    kept: list[Candidate] = []
-    for candidate in candidates:
-        if not any(_same(candidate.alignment.displacement, other.alignment.displacement) for other in kept):
-            kept.append(candidate)
-    return kept
-
-
-def _same(first: Displacement, second: Displacement) -> bool:
-    (yaw, u, v), (other_yaw, other_u, other_v) = first.pose(), second.pose()
-    return abs(wrap(yaw - other_yaw)) < _SAME_YAW and math.hypot(u - other_u, v - other_v) < _SAME_SHIFT
+def _turned(feature: FloatImage, yaw: float) -> FloatImage:
+    """The view as it would look if it faced as the target does."""
+    size = len(feature)
+    centre = (size - 1) / 2.0
+    c, s = math.cos(yaw), math.sin(yaw)
+    affine = np.array([[c, s, centre * (1.0 - c - s)], [-s, c, centre * (1.0 - c + s)]])
+    smooth = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    turned = cv2.warpAffine(feature, affine, (size, size), flags=smooth, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(turned, np.float32)

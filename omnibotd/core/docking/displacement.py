@@ -1,4 +1,4 @@
-"""How the view from the dock maps to that from elsewhere: a similarity for the ceiling, more shift for a near wall."""
+"""How the view from one place maps to that from another: a similarity, for the ceiling moves as a plane does."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from omnibotd.core.vision.frame import FloatImage
 
 Floats = NDArray[np.float64]
 
-NO_WALL = (0.0, 0.0)
 # Two views of the same ceiling differ in scale by steps and beams in it, not more.
 _MAX_LOG_SCALE = 0.12
 
@@ -23,22 +22,19 @@ _MAX_LOG_SCALE = 0.12
 class Displacement:
     """Takes a pixel q of the target view to the current view, both from the centre.
 
-    q -> exp(log_scale) R(angle) q + max(1, wall . q) (u, v). The ceiling moves as a plane does. A dock stands at a
-    wall, which fills up to half of its view: what is seen of it at q is nearer than the ceiling by the factor wall . q,
-    and shifts by that much more. `wall` points to the wall and is 1 / its distance; NO_WALL where there is none near.
+    q -> exp(log_scale) R(angle) q + (u, v).
     """
 
     angle: float
     u: float
     v: float
     log_scale: float = 0.0
-    wall: tuple[float, float] = NO_WALL
 
     @classmethod
-    def of_pose(cls, yaw: float, u: float, v: float, wall: tuple[float, float] = NO_WALL) -> Displacement:
+    def of_pose(cls, yaw: float, u: float, v: float) -> Displacement:
         """From where the current axis stands in the target view (u, v pixels) and how far it is turned."""
         c, s = math.cos(yaw), math.sin(yaw)
-        return cls(wrap(-yaw), -(c * u + s * v), s * u - c * v, 0.0, wall)
+        return cls(wrap(-yaw), -(c * u + s * v), s * u - c * v)
 
     def pose(self) -> tuple[float, float, float]:
         """yaw (rad) and u, v (pixels) of the current view's axis in the target view."""
@@ -47,8 +43,7 @@ class Displacement:
 
     def zoomed(self, factor: float) -> Displacement:
         """The same between views `factor` times as many pixels wide."""
-        wall = (self.wall[0] / factor, self.wall[1] / factor)
-        return replace(self, u=self.u * factor, v=self.v * factor, wall=wall)
+        return replace(self, u=self.u * factor, v=self.v * factor)
 
     def linear(self) -> Floats:
         """(2, 2) exp(log_scale) R(angle)."""
@@ -56,18 +51,17 @@ class Displacement:
         return math.exp(self.log_scale) * np.array([[c, -s], [s, c]])
 
     def affine(self, size: int) -> Floats:
-        """(2, 3) matrix of the ceiling's part for cv2.warpAffine with WARP_INVERSE_MAP, size x size pixels."""
+        """(2, 3) matrix for cv2.warpAffine with WARP_INVERSE_MAP, size x size pixels."""
         linear, centre = self.linear(), (size - 1) / 2.0
         offset = np.array([self.u + centre, self.v + centre]) - linear @ np.array([centre, centre])
         return np.hstack([linear, offset[:, None]])
 
     def stepped(self, step: Floats) -> Displacement:
-        """After a small displacement on the target side; `step` = (turn, u, v[, log_scale[, wall u, wall v]])."""
+        """After a small displacement on the target side; `step` = (turn, u, v[, log_scale])."""
         u, v = self.linear() @ step[1:3]
         grown = self.log_scale + (float(step[3]) if len(step) > 3 else 0.0)
         clipped = min(max(grown, -_MAX_LOG_SCALE), _MAX_LOG_SCALE)
-        wall = (self.wall[0] + float(step[4]), self.wall[1] + float(step[5])) if len(step) > 4 else self.wall
-        return Displacement(self.angle + float(step[0]), self.u + float(u), self.v + float(v), clipped, wall)
+        return Displacement(self.angle + float(step[0]), self.u + float(u), self.v + float(v), clipped)
 
 
 @lru_cache(maxsize=8)

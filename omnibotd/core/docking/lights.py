@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
+
+import numpy as np
 
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import DockView
@@ -94,7 +97,12 @@ class Lights:
 
 
 def _in_dock(estimate: HomingEstimate, light: Light) -> HomingEstimate:
-    return replace(estimate, dock_from_base=light.dock_from_view @ estimate.dock_from_base)
+    pose = light.dock_from_view @ estimate.dock_from_base
+    if estimate.covariance is None:
+        return replace(estimate, dock_from_base=pose)
+    c, s = math.cos(light.dock_from_view.yaw), math.sin(light.dock_from_view.yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return replace(estimate, dock_from_base=pose, covariance=turn @ estimate.covariance @ turn.T)
 
 
 def _worth(estimate: HomingEstimate) -> tuple[int, float]:

@@ -70,7 +70,7 @@ class RotationCues:
         angle, ring = np.meshgrid(np.arange(_BINS) * _SPECTRUM_BIN, np.linspace(4.0, 56.0, 48))
         centre = _SPECTRUM_SIZE / 2.0
         self._polar_u = (centre + ring * np.cos(angle)).astype(np.float32)
-        self._polar_v = (centre + ring * np.sin(angle)).astype(np.float32)
+        self._polar_v = (ring * np.sin(angle)).astype(np.float32)
 
     def signature(self, view: Image, feature: FloatImage, mask: Image, rim: Image | None) -> RotationSignature:
         """`view`, its `feature` and `mask` (255 where seen) are (size, size); `rim` (rings, 360) grey along circles."""
@@ -97,7 +97,8 @@ class RotationCues:
         padded = np.zeros((_SPECTRUM_SIZE, _SPECTRUM_SIZE), np.float32)
         inside = slice(_SPECTRUM_MARGIN, _SPECTRUM_SIZE - _SPECTRUM_MARGIN)
         padded[inside, inside] = (inner - inner.mean()) * self._bell
-        amplitude = np.log1p(np.abs(np.fft.fftshift(np.fft.fft2(padded)))).astype(np.float32)
+        # Half of it, the other being its mirror image: all columns, and the rows from the centre down.
+        amplitude = np.log1p(np.abs(np.fft.fftshift(np.fft.rfft2(padded, axes=(1, 0)), axes=1))).astype(np.float32)
         polar = cv2.remap(amplitude, self._polar_u, self._polar_v, cv2.INTER_LINEAR)
         return np.asarray(np.fft.rfft(polar - polar.mean(1, keepdims=True), axis=1), np.complex128)
 

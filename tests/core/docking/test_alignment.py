@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 
 from omnibotd.core.docking.alignment import AlignmentTarget, Effort, Layer
-from omnibotd.core.docking.displacement import NO_WALL, Displacement
-from omnibotd.core.docking.translation import ShiftSearch
+from omnibotd.core.docking.displacement import Displacement
 from omnibotd.core.vision.frame import FloatImage
 
 SIZE = 121
@@ -73,31 +71,6 @@ def test_views_that_do_not_overlap_score_minus_one() -> None:
     assert target.align(seen_from(0.0, 0.0, 0.0), Displacement.of_pose(0.0, 0.0, 118.0), EFFORT).score == -1.0
 
 
-def test_finds_the_wall_with_the_rest() -> None:
-    """Three-dimensional truth: a ceiling of height 1 that ends at a wall 0.4 ahead (rows upwards); focal 60 pixels."""
-    focal, distance = 60.0, 0.4
-
-    def look(x: float, y: float) -> Layer:
-        """Camera at x to the wall, y to the left, heading 0: each ray meets the ceiling or, sooner, the wall."""
-        columns, rows = grid()
-        forward, left = -rows / focal, columns / focal
-        reach = np.where(forward > distance - x, (distance - x) / np.maximum(forward, 1e-6), 1.0)
-        ahead, aside, up = x + forward * reach, y + left * reach, reach
-        unrolled = np.where(reach < 1.0, distance + 1.0 - up, ahead)  # the wall folded up into the ceiling's plane
-        return Layer(pattern(aside * focal, -unrolled * focal), FULL)
-
-    x, y = -0.12, 0.05
-    start = Displacement.of_pose(0.02, y * focal + 1.0, -x * focal - 1.0, (0.1 / focal, -1.8 / focal))
-    effort = Effort(iterations=40, huber=1.0, with_scale=True, tolerance=1e-4, with_wall=True)
-    result = AlignmentTarget(look(0.0, 0.0)).align(look(x, y), start, effort)
-    yaw, u, v = result.displacement.pose()
-    assert yaw == pytest.approx(0.0, abs=0.005)
-    assert (-v / focal, u / focal) == pytest.approx((x, y), abs=0.005)
-    wall = np.array(result.displacement.wall) * focal
-    assert 1.0 / np.hypot(*wall) == pytest.approx(distance, rel=0.03)
-    assert math.degrees(math.atan2(-wall[1], wall[0])) == pytest.approx(90.0, abs=2.0)
-
-
 @pytest.mark.parametrize("displacement", [Displacement(0.4, 3.0, -2.0), Displacement(-2.0, 1.0, 5.0, 0.1)])
 def test_pose_undoes_the_displacement(displacement: Displacement) -> None:
     """The current axis (0, 0) is the image of the pose's point."""
@@ -105,23 +78,3 @@ def test_pose_undoes_the_displacement(displacement: Displacement) -> None:
     assert displacement.linear() @ (u, v) + (displacement.u, displacement.v) == pytest.approx(np.zeros(2), abs=1e-9)
     yaw, _, _ = displacement.pose()
     assert math.cos(yaw + displacement.angle) == pytest.approx(1.0)
-
-
-def test_a_bent_warp_without_reach_of_the_wall_is_the_plain_one() -> None:
-    layer = seen_from(0.0, 0.0, 0.0)
-    plain, far = Displacement(0.2, 3.0, 1.0), Displacement(0.2, 3.0, 1.0, 0.0, (0.0, 1e-4))
-    assert plain.wall == NO_WALL
-    inside = np.s_[20:-20, 20:-20]
-    # The plain warp rounds its coordinates to 1/32 pixel.
-    assert np.abs(layer.warped(plain)[0] - layer.warped(far)[0])[inside].max() < 0.02
-
-
-@pytest.mark.parametrize(("u", "v"), [(7, -4), (-12, 9), (0, 0)])
-def test_the_shift_search_finds_the_shift_of_a_turned_view(u: int, v: int) -> None:
-    rng = np.random.default_rng(4)
-    plane = cv2.GaussianBlur(rng.normal(size=(200, 200)).astype(np.float32), (0, 0), 2.0)
-    target = Layer(plane[70:130, 70:130].copy(), FULL[:60, :60])
-    moved = Layer(np.rot90(plane[70 + v : 130 + v, 70 + u : 130 + u]).copy(), FULL[:60, :60])
-    # np.rot90 turns the picture counter-clockwise as seen: the view of a camera turned by +90 degrees (u to v).
-    best = ShiftSearch(target, 20.0).find(moved, math.pi / 2)[0]
-    assert (best.u, best.v) == pytest.approx((u, v), abs=1.0)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 from omnibotd.core.docking.lights import Light, Lights, with_view
@@ -24,6 +26,7 @@ class Eye:
     score: float
     dock_from_view: Pose2D = field(default_factory=Pose2D)
     asked: list[Pose2D | None] = field(default_factory=list)
+    covariance: np.ndarray | None = None
 
     def fix(self, frame: Frame, odom_from_base: Pose2D) -> HomingEstimate:
         return self._answer(odom_from_base, None)
@@ -34,7 +37,7 @@ class Eye:
     def _answer(self, odom: Pose2D, prior: Pose2D | None) -> HomingEstimate:
         self.asked.append(prior)
         pose = self.dock_from_view.inverse() @ HERE
-        return HomingEstimate(1.0, odom, pose, self.score, 0.2, self.verdict)
+        return HomingEstimate(1.0, odom, pose, self.score, 0.2, self.verdict, self.covariance)
 
 
 def lights(*eyes: Eye) -> Lights:
@@ -61,6 +64,13 @@ def test_poses_are_the_docks_whichever_view_answers() -> None:
     for answer in (both.fix(FRAME, Pose2D()), both.track(FRAME, Pose2D(), HERE)):
         found = answer.dock_from_base
         assert (found.x, found.y, found.yaw) == pytest.approx((HERE.x, HERE.y, HERE.yaw))
+
+
+def test_what_is_unsure_ahead_of_a_turned_view_is_unsure_across_for_the_dock() -> None:
+    spread = np.diag([0.04, 0.01, 0.09])
+    eye = Eye(Verdict.ACCEPTED, 0.8, Pose2D(0.01, -0.02, math.pi / 2.0), covariance=spread)
+    found = lights(eye).fix(FRAME, Pose2D()).covariance
+    assert found == pytest.approx(np.diag([0.01, 0.04, 0.09]))
 
 
 def test_tracking_stays_with_its_view_until_that_has_lost_it() -> None:

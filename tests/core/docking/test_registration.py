@@ -71,6 +71,42 @@ def test_tracking_from_odometry_is_right_within_two_centimetres(style: str) -> N
     assert degrees < 0.5
 
 
+AWAY = [Pose2D(0.0, 0.0, 0.0), Pose2D(-0.1, 0.05, 0.2), Pose2D(-0.5, 0.2, 2.0), Pose2D(0.3, -0.8, -3.0)]
+
+
+@pytest.mark.parametrize("style", ["tiles", "plain", "beams"])
+def test_the_covariance_holds_the_errors_and_is_not_huge(style: str) -> None:
+    nees = []
+    for away in AWAY:
+        estimate = registration(style, MIDDLE).fix(see(style, MIDDLE @ away), Pose2D())
+        found, covariance = estimate.dock_from_base, estimate.covariance
+        assert covariance is not None
+        off = np.array([found.x - away.x, found.y - away.y, wrap(found.yaw - away.yaw)])
+        nees.append(float(off @ np.linalg.solve(covariance, off)))
+        assert math.sqrt(covariance[0, 0] + covariance[1, 1]) < 0.04
+        assert math.sqrt(covariance[2, 2]) < math.radians(0.5)
+    # The mean of four chi-squares of three degrees of freedom is below this 99.9 times in 100.
+    assert np.mean(nees) < 32.9 / len(nees)
+
+
+def bars(pose: Pose2D, spacing: list[float]) -> Frame:
+    """A ceiling of nothing but bars along y, at irregular distances; levelled and seen from `pose`."""
+    v, u = np.mgrid[:480, :640].astype(float)
+    ray = CAMERA.unproject(np.stack([u, v], -1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, y = (HEIGHT * ray[..., k] / np.where(ray[..., 2] > 0.05, ray[..., 2], np.nan) for k in range(2))
+    along = pose.x + math.cos(pose.yaw) * x - math.sin(pose.yaw) * y
+    dark = np.searchsorted(np.cumsum([-8.0, *spacing]), along) % 2
+    noise = np.random.default_rng(int(1e3 * abs(pose.x + pose.y))).normal(0.0, 2.0, dark.shape)
+    return Frame(1.0, np.clip(np.where(np.isfinite(along), 90 + 90 * dark, 30) + noise, 0, 255).astype(np.uint8))
+
+
+def test_parallel_bars_alone_leave_it_unsure() -> None:
+    spacing = list(np.random.default_rng(8).uniform(0.1, 0.7, 40))
+    estimate = DockRegistration(CAMERA, bars(Pose2D(), spacing), HEIGHT).fix(bars(Pose2D(0.2, 0.5), spacing), Pose2D())
+    assert estimate.verdict is not Verdict.ACCEPTED
+
+
 def test_a_dock_at_the_wall_is_found_by_learning_the_wall() -> None:
     """Half of the dock's view is a wall 22 cm ahead: as one plane, the views of a plain ceiling agree 7 cm off."""
     room = world("plain", 3)

@@ -1,0 +1,98 @@
+"""One frame as the registration uses it: the ceiling's edges over 115 degrees, coarse to fine, without people."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+
+from omnibotd.core.docking.features import edge_strength, unoccluded
+from omnibotd.core.docking.rectification import Lookup, Rectification, rim_rays
+from omnibotd.core.vision.camera_model import CameraModel
+from omnibotd.core.vision.frame import FloatImage, Frame, Image
+
+# The ceiling's edge is in view, which breaks the symmetry of a grid of tiles, and is all there is of a plain ceiling.
+# Wider, more of the view is wall, and few lenses are known well that far off their axis.
+_FOV = math.radians(115.0)
+# Half the resolution is still finer than the view's pixels at the zenith.
+_REDUCTION = 2
+# Pixels a side of the layers. Each one's valley is as wide as the error the layer before leaves.
+COARSE, MIDDLE, FINE = 60, 120, 240
+# Edges of lamps are stronger than this, and shall not outweigh everything else.
+_STRONGEST = 4.0
+_RIM_ZENITHS = np.radians(np.linspace(50.0, 86.0, 13))
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One resolution: `picture` (size, size, 4) holds edge strength, its two derivatives a pixel, and 1 where seen.
+
+    A point of the ceiling at (u, v) heights stands at column c + focal * u, row c + focal * v, c = (size - 1) / 2.
+    """
+
+    picture: FloatImage
+    focal: float
+
+    @property
+    def size(self) -> int:
+        return len(self.picture)
+
+
+class CeilingView:
+    """What one frame shows of the ceiling; computed as far as it is asked for."""
+
+    def __init__(self, image: Image, valid: Image, focal: float, rim: Image | None) -> None:
+        """`image` is rectified, FINE pixels a side, `valid` 255 where the lens sees; `rim` (rings, 360) or None."""
+        self.image, self.focal, self.rim = image, focal, rim
+        free = unoccluded(image)
+        self._mask = valid if free is None else np.asarray(valid & free, np.uint8)
+        self._layers: dict[int, Layer] = {}
+
+    @cached_property
+    def _feature(self) -> FloatImage:
+        return np.minimum(edge_strength(self.image), np.float32(_STRONGEST))
+
+    def feature(self, size: int) -> FloatImage:
+        """Edge strength (size, size); smoothed a little where reduced, to widen the valley of an alignment."""
+        if size == FINE:
+            return self._feature
+        small = cv2.resize(self._feature, (size, size), interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(small, (0, 0), 0.7), np.float32)
+
+    def mask(self, size: int) -> Image:
+        """(size, size) 255 where the ceiling is seen."""
+        return np.asarray(cv2.resize(self._mask, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8)
+
+    def layer(self, size: int) -> Layer:
+        if size not in self._layers:
+            feature = self.feature(size)
+            slopes = (cv2.Sobel(feature, cv2.CV_32F, *axis, scale=1 / 8.0) for axis in ((1, 0), (0, 1)))
+            seen = self.mask(size).astype(np.float32) / np.float32(255.0)
+            picture = np.asarray(cv2.merge([feature, *slopes, seen]), np.float32)
+            self._layers[size] = Layer(picture, self.focal * size / FINE)
+        return self._layers[size]
+
+
+class CeilingOptics:
+    """Takes frames of one camera to views."""
+
+    def __init__(self, camera: CameraModel) -> None:
+        small = camera.reduced(_REDUCTION)
+        self._rectify = Rectification(small, FINE, _FOV)
+        self._rim = Lookup(small, rim_rays(_RIM_ZENITHS, 360))
+        self._sees_walls = bool(self._rim.valid.all())
+
+    def view(self, frame: Frame) -> CeilingView:
+        """Raises FrameError on a picture of another size than the camera's."""
+        grey = frame.grey(_REDUCTION)
+        rim = self._rim(grey) if self._sees_walls else None
+        return CeilingView(self._rectify(grey), self._rectify.valid, self._rectify.focal, rim)
+
+
+@lru_cache(maxsize=4)
+def ceiling_optics(camera: CameraModel) -> CeilingOptics:
+    """Tables are dear to compute and depend on the calibration only."""
+    return CeilingOptics(camera)
