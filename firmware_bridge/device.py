@@ -24,6 +24,7 @@ from firmware_bridge.messages import (
 
 WATCHDOG = 0.25  # seconds without a new set-point until the wheels stop: 12 cm at 0.5 m/s
 TELEMETRY_PERIOD = 0.02
+LATE, EARLY = 250_000, 20_000  # us by which a set-point may be old; by which its host's reckoning may be ahead
 # Answers that wait for the line: one to each kind of request twice over; an MCU has no room for more.
 MAX_REPLIES = 8
 # A device without wheels has nothing to configure.
@@ -191,6 +192,8 @@ class OmnibotDevice:
     def _on_setpoint(self, message: SetPoint, seq: int, now: float) -> None:
         if self._latched or not self._greeted or message.boot_nonce != self.boot_nonce or not self._newer(seq):
             return
+        if (message.left, message.right) != (0, 0) and self._untimely(message.mcu_us, now):
+            return
         self._setpoint = (message.left, message.right)
         self._setpoint_seq = seq
         self._fed_at = now
@@ -202,8 +205,15 @@ class OmnibotDevice:
         ahead = (seq - self._setpoint_seq) % 256
         return 0 < ahead < 128 or (self._fed_at is None and ahead != 0)
 
-    def _report(self, now: float) -> Telemetry:
+    def _untimely(self, mcu_us: int, now: float) -> bool:
+        """Modulo 2**32, as the clock counts."""
+        return (self._clock(now) - mcu_us + EARLY) % 2**32 > LATE + EARLY
+
+    def _clock(self, now: float) -> int:
         assert self._booted_at is not None
+        return int((now - self._booted_at) * 1e6) % 2**32
+
+    def _report(self, now: float) -> Telemetry:
         status = self._status
         if self._latched:
             status |= Status.EMERGENCY_STOP
@@ -212,7 +222,7 @@ class OmnibotDevice:
         left, right = (_signed32(ticks - origin) for ticks, origin in zip(self._ticks, self._origin, strict=True))
         return Telemetry(
             boot_nonce=self.boot_nonce,
-            mcu_us=int((now - self._booted_at) * 1e6) % 2**32,
+            mcu_us=self._clock(now),
             left_ticks=left,
             right_ticks=right,
             pwm_left=0,  # no motor driver here, so no PWM and no faults

@@ -10,7 +10,7 @@ from typing import ClassVar, Self, get_args
 from firmware_bridge.events import BridgeError
 from firmware_bridge.framing import Frame, encode
 
-VERSION = 1
+VERSION = 2
 NOTHING_AHEAD = 0xFFFF  # in RANGE
 
 
@@ -113,13 +113,14 @@ class Hello(_Fixed):
 
 @dataclass(frozen=True, slots=True)
 class SetPoint(_Fixed):
-    """Host: wheel speeds in ticks/s, for the boot named only."""
+    """Host: wheel speeds in ticks/s, for the boot named only; `mcu_us`: when that was, by the base's clock."""
 
     CODE = 0x02
-    LAYOUT = struct.Struct("<Iii")
+    LAYOUT = struct.Struct("<IiiI")
     boot_nonce: int
     left: int
     right: int
+    mcu_us: int
 
 
 @dataclass(frozen=True, slots=True)

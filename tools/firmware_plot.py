@@ -168,36 +168,40 @@ def table(results: Results) -> str:
 
 def draw(results: Results, board: Board, path: Path) -> None:
     """Three panels."""
-    figure = Figure(figsize=(16.0, 4.2), layout="constrained")
+    figure = Figure(figsize=(11.5, 3.8), layout="constrained")
     for axes, draw_panel in zip(figure.subplots(1, 3), (_draw_steps, _draw_steady, _draw_odometry), strict=True):
         draw_panel(axes, results)
-    figure.suptitle(f"the firmware on an {board.mcu} in simavr; motors of {FULL_SPEED:.0f} ticks/s, lag 80 ms")
-    figure.savefig(path, dpi=110)
+    motors = f"motors of {FULL_SPEED:.0f} ticks/s, lag 80 ms"
+    figure.suptitle(f"the compiled firmware on an {board.mcu} in simavr; {motors}", fontsize="medium")
+    figure.savefig(path, dpi=100)
 
 
 def _draw_steps(axes: Axes, results: Results) -> None:
     for target, curve in results.steps.items():
         axes.plot([0.0, STEP_SECONDS, STEP_SECONDS, curve[-1][0]], [target, target, -target, -target], ":", color=FAINT)
         axes.plot(*zip(*curve, strict=True), color=INK)
-    axes.set(xlabel="s", ylabel="ticks/s", title="step response: set-point and true speed")
+    axes.plot([], [], ":", color=FAINT, label="asked for")
+    axes.plot([], [], color=INK, label="true")
+    axes.legend()
+    axes.set(xlabel="s", ylabel="ticks/s", title="speed, step response")
 
 
 def _draw_steady(axes: Axes, results: Results) -> None:
     for (name, rows), colour in zip(results.steady.items(), (INK, FAINT, WARM), strict=True):
-        axes.semilogx(SPEEDS, [ripple for _, ripple in rows], marker="o", color=colour, label=name)
-    worst = max(abs(error) for rows in results.steady.values() for error, _ in rows)
-    axes.set(xlabel="set-point, ticks/s", ylabel="ripple, %", title=f"held speed: mean error at most {worst:.2f} %")
-    axes.set_ylim(bottom=0.0)
-    axes.legend(title="motors")
+        axes.semilogx(SPEEDS, [ripple for _, ripple in rows], "o-", markersize=4, color=colour, label=name)
+        axes.semilogx(SPEEDS, [abs(error) for error, _ in rows], "x", color=colour)
+    axes.semilogx([], [], "x", color=INK, label="mean error, absolute")
+    axes.set(xlabel="asked for, ticks/s", ylabel="%", title="held speed: ripple and mean error")
+    axes.set_ylim(top=1.6 * axes.get_ylim()[1])  # the legend's room
+    axes.legend(title="ripple, by motors", fontsize="small")
 
 
 def _draw_odometry(axes: Axes, results: Results) -> None:
     for side, (name, colour) in enumerate((("left", INK), ("right", WARM))):
-        axes.plot([true[side] for _, true in results.stops], color=colour, label=f"{name}: edges that passed")
+        axes.plot([true[side] for _, true in results.stops], color=colour, label=f"{name}, true")
         counted = [counted[side] for counted, _ in results.stops]
-        axes.plot(counted, "o", color=colour, fillstyle="none", label=f"{name}: counted")
-    missed = f"{results.missed[-1]} of {2 * RATES[-1]} edges missed at {RATES[-1]}/s a wheel"
-    axes.set(xlabel="stops", ylabel="ticks", title=f"odometry off by {results.worst_odometry} ticks\n{missed}")
+        axes.plot(counted, "o", markersize=5, color=colour, fillstyle="none", label=f"{name}, counted")
+    axes.set(xlabel="stops", ylabel="ticks", title=f"odometry: off by {results.worst_odometry} ticks at worst")
     axes.legend()
 
 

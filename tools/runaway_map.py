@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from omnibotd.io.map_format import VERSION
 from tools.sim import virtual_time
 from tools.sim.ceilings import tiles
 from tools.sim.teacher import Area, Teacher, teach
@@ -13,7 +14,7 @@ from tools.sim.virtual_robot import virtual_robot
 SEED = 5
 FLOOR = 2.4  # m, the side of the square round the middle in which the robot is put down and sent about
 _TAUGHT, _SECONDS = 3.0, 100.0  # m, the side of the square that is taught; s, of driving
-_KEPT = Path("out/runaway/home.omap")
+_KEPT = Path(f"out/runaway/home-{VERSION}.omap")  # one of an earlier format would be refused
 
 
 def taught_map() -> Path:

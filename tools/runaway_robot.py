@@ -1,7 +1,8 @@
 """A simulated robot that outlives its host, for tools/runaway: emulated base, wheels and camera in its own process.
 
 Unlike that of tools/sim/serve its wheels turn on when the cable is pulled, as those of a base with a battery do, and a
-port that is opened resets a board that is wired so. It tells over HTTP what its wheels did: `GET /wheels`.
+port that is opened resets a board that is wired so. Over HTTP it is told to strike at its host, and asked what its
+wheels did then.
 """
 
 from __future__ import annotations
@@ -10,12 +11,12 @@ import argparse
 import asyncio
 import fcntl
 import json
-import math
 import os
 import struct
 import termios
 import time
 import tty
+from collections import deque
 from pathlib import Path
 
 import cv2
@@ -25,13 +26,13 @@ from tools.sim.emulators import BODIES, TurningDevice, make_device
 from tools.sim.mjpeg import MjpegServer
 from tools.sim.plant import SimulatedRobot
 
-PERIOD = 0.005  # s between steps: what is told of the wheels is as exact
-MAX_STEP = 0.05  # s; a process that was held up must not let the wheels jump
-FRAME_PERIOD = 0.12  # s; enough for the control loop, and the daemon under test needs the processor
+PERIOD = 0.005  # s, a step of base and wheels, two at a time: what is told of the wheels is half as exact
+# Wheels that are slower count as standing: the model's last ticks come ever more slowly, those of a gear box do not.
+STANDING, WINDOW = 0.01, 0.05  # m/s, and s over which a speed is taken
+FRAME_PERIOD = 0.2  # s; enough for the control loop, and the daemon under test needs the processor
 READ_SIZE = 4096
 BATTERY = 14_800  # mV
 RESET_BY_OPENING = ("arduino_bridge",)  # DTR is wired to their reset
-COASTING = 100.0  # ticks/s; a board that does not tell whether its motors are on is said to drive above this
 _FLUSHED = 1  # TIOCPKT_FLUSHREAD of asm-generic/ioctls.h: opening a serial port discards what it had received
 
 
@@ -84,7 +85,7 @@ class Cable:
 
 
 class Robot:
-    """Wheels, base and cable, and what they did."""
+    """Wheels, base and cable, and what they did since the last blow. Its clock is the monotonic one, in even steps."""
 
     def __init__(self, base: str, seed: int, link: Path) -> None:
         self._base = base
@@ -92,8 +93,9 @@ class Robot:
         self._plant = SimulatedRobot(self.world, (0.0, 0.0, 0.0), seed, BODIES[base])
         self._cable = Cable(link)
         self._lives = 0
-        self._rolled = 0.0
-        self._driven_until = -math.inf
+        self._now = self._struck_at = self._driven_at = self._turned_at = time.monotonic()
+        self._rolled = self._late = 0.0
+        self._way: deque[tuple[float, float]] = deque([(self._now, 0.0)])  # since WINDOW ago: seconds, metres rolled
         self._renew(self._plant.pose)
 
     @property
@@ -102,21 +104,29 @@ class Robot:
 
     async def live(self) -> None:
         """The base and its wheels, for ever."""
-        before = time.monotonic()
         while True:
-            await asyncio.sleep(PERIOD)
-            now = time.monotonic()
-            self._step(now, min(now - before, MAX_STEP))
-            before = now
+            await asyncio.sleep(2.0 * PERIOD)
+            self._catch_up()
 
     def wheels(self, body: bytes = b"") -> dict[str, object]:
-        """Monotonic seconds of now and of the last moment at which the motors were on; metres rolled, pose."""
-        told = {"now": time.monotonic(), "driven": self._driven, "driven_until": self._driven_until}
-        return {**told, "rolled": self._rolled, "pose": self._plant.pose}
+        """Seconds since the blow, and from it to when motors were on and wheels turned last; metres rolled."""
+        self._catch_up()
+        began = self._struck_at
+        times = {"since": self._now - began, "driven": self._driven_at - began, "turned": self._turned_at - began}
+        return {**times, "turning": self._turning, "rolled": self._rolled, "late": self._late}
 
-    def pull(self, body: bytes) -> dict[str, object]:
-        self._cable.pull()
-        return {"now": time.monotonic()}
+    def strike(self, body: bytes) -> dict[str, object]:
+        """Send the `signal` to the `pids`, or pull the cable where there are none; only while the wheels turn."""
+        blow = json.loads(body)
+        self._catch_up()
+        if not self._turning:
+            return {"struck": False}
+        for pid in blow["pids"]:
+            os.kill(pid, blow["signal"])
+        if not blow["pids"]:
+            self._cable.pull()
+        self._struck_at, self._rolled, self._late = self._now, 0.0, 0.0
+        return {"struck": True}
 
     def plug(self, body: bytes) -> dict[str, object]:
         self._cable.plug()
@@ -135,10 +145,44 @@ class Robot:
         self._cable.plug()
 
     @property
-    def _driven(self) -> bool:
-        return max(map(abs, self._device.target)) > (COASTING if isinstance(self._device, TurningDevice) else 0.0)
+    def _turning(self) -> bool:
+        return self._way[-1][1] - self._way[0][1] > STANDING * WINDOW
 
-    def _turn(self, dt: float) -> None:
+    def _catch_up(self) -> None:
+        """Up to now; what a host has written comes last, so that no delay of ours makes the wheels stop sooner."""
+        begin, end = self._now, time.monotonic()
+        while self._now < end:
+            step = min(PERIOD, end - self._now)
+            self._now += step
+            self._step(step)
+        opened, data = self._cable.read()
+        if opened and self._base in RESET_BY_OPENING:
+            self._lives += 1
+            self._device.reset(self._lives)
+        if data:
+            self._late = max(self._late, end - begin)
+            self._device.receive(data, self._now)
+
+    def _step(self, dt: float) -> None:
+        if any(self._device.target):
+            self._driven_at = self._now
+        self._roll(self._turn(dt))
+        left, right = self._plant.bumpers
+        self._device.set_state(*self._ticks, bumper_left=left, bumper_right=right, charging=False, battery_mv=BATTERY)
+        self._device.poll(self._now)
+        self._cable.write(self._device.data_to_send())
+
+    def _roll(self, ticks: int) -> None:
+        metres = ticks / 2.0 * self._plant.body.metres_per_tick
+        self._rolled += metres
+        self._way.append((self._now, self._way[-1][1] + metres))
+        while self._now - self._way[0][0] > WINDOW:
+            self._way.popleft()
+        if self._turning:
+            self._turned_at = self._now
+
+    def _turn(self, dt: float) -> int:
+        """Ticks of both wheels, whichever way."""
         before = self._ticks
         if isinstance(self._device, TurningDevice):
             self._ticks = self._device.turned
@@ -146,23 +190,7 @@ class Robot:
         else:
             left, right = self._plant.step(dt, *self._device.target)
             self._ticks = before[0] + left, before[1] + right
-        ticks = abs(self._ticks[0] - before[0]) + abs(self._ticks[1] - before[1])
-        self._rolled += ticks / 2.0 * self._plant.body.metres_per_tick
-
-    def _step(self, now: float, dt: float) -> None:
-        opened, data = self._cable.read()
-        if opened and self._base in RESET_BY_OPENING:
-            self._lives += 1
-            self._device.reset(self._lives)
-        if data:
-            self._device.receive(data, now)
-        if self._driven:
-            self._driven_until = now
-        self._turn(dt)
-        left, right = self._plant.bumpers
-        self._device.set_state(*self._ticks, bumper_left=left, bumper_right=right, charging=False, battery_mv=BATTERY)
-        self._device.poll(now)
-        self._cable.write(self._device.data_to_send())
+        return abs(self._ticks[0] - before[0]) + abs(self._ticks[1] - before[1])
 
 
 async def show(robot: Robot, camera: MjpegServer) -> None:
@@ -179,9 +207,8 @@ async def show(robot: Robot, camera: MjpegServer) -> None:
 
 async def serve(robot: Robot) -> None:
     """For ever; prints the camera's address when it answers."""
-    posts = {"/pull": robot.pull, "/plug": robot.plug, "/renew": robot.renew}
-    resources = {("GET", "/wheels"): robot.wheels, **{("POST", path): call for path, call in posts.items()}}
-    camera = MjpegServer(resources)
+    posts = {"/wheels": robot.wheels, "/strike": robot.strike, "/plug": robot.plug, "/renew": robot.renew}
+    camera = MjpegServer({("POST", path): call for path, call in posts.items()})
     await camera.start()
     print(json.dumps({"camera": camera.url}), flush=True)
     async with asyncio.TaskGroup() as group:

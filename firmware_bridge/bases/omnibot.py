@@ -70,9 +70,10 @@ class OmnibotHost:
         self._counters = (_Counter(), _Counter())
         self._range: tuple[float, float] | None = None  # metres, and when they came
         self._heard_at = 0.0
+        self._mcu_us: int | None = None  # the base's clock at `_heard_at`; None until its first telemetry
         self._hello_at = -math.inf
         self._hello_due = False
-        self._setpoint: tuple[int, int] | None = None
+        self._setpoint: SetPoint | None = None
         self._stop_wanted = False  # outlives a restart, which the latch in the base does not
         self._request: _Request | None = None
         self._request_due = False
@@ -101,16 +102,18 @@ class OmnibotHost:
         return happened
 
     def drive(self, left: float, right: float, now: float) -> None:
-        """New set-points, rad/s; ignored while not connected or while an emergency stop is asked for."""
+        """New set-points, rad/s; ignored before the first telemetry, and while an emergency stop is asked for."""
         if not (math.isfinite(left) and math.isfinite(right)):
             raise BridgeError(f"wheel speeds {left}, {right} rad/s are not finite")
-        if self._info is None or self._stop_wanted:
+        if self._info is None or self._mcu_us is None or self._stop_wanted:
             return
         scale = self._info.ticks_per_rev / (2.0 * math.pi)
         ticks = round(left * scale), round(right * scale)
         if max(map(abs, ticks)) > MAX_TICKS_PER_SECOND:
             raise BridgeError(f"wheel speeds {left}, {right} rad/s are beyond {MAX_TICKS_PER_SECOND} ticks/s")
-        self._setpoint = ticks
+        # By the clock of the base, which drops what is late: behind by the time that its telemetry was under way.
+        mcu_us = (self._mcu_us + int((now - self._heard_at) * 1e6)) % 2**32
+        self._setpoint = SetPoint(self._info.boot_nonce, *ticks, mcu_us)
 
     def emergency_stop(self, now: float) -> None:
         """Stop, and stay so across restarts of the base until `release`; works before hands are shaken."""
@@ -133,8 +136,8 @@ class OmnibotHost:
             data += DELIMITER + messages.to_bytes(messages.Hello(), self._next_seq())
         if self._request is not None and self._request_due:
             data += messages.to_bytes(self._request.message, self._request.seq)
-        if self._setpoint is not None and self._info is not None:
-            data += messages.to_bytes(SetPoint(self._info.boot_nonce, *self._setpoint), self._next_seq())
+        if self._setpoint is not None:
+            data += messages.to_bytes(self._setpoint, self._next_seq())
         self._hello_due = self._request_due = False
         self._setpoint = None
         return data
@@ -182,7 +185,7 @@ class OmnibotHost:
         self._last_nonce = reply.boot_nonce
         self._counters = (_Counter(), _Counter())
         self._range = None
-        self._heard_at = now
+        self._heard_at, self._mcu_us = now, None
         self._hello_due = False
         if self._stop_wanted:
             self._ask(Stop(), now)
@@ -193,7 +196,7 @@ class OmnibotHost:
             return []
         if report.boot_nonce != self._info.boot_nonce:
             return self._restarted(report.boot_nonce)
-        self._heard_at = now
+        self._heard_at, self._mcu_us = now, report.mcu_us
         status = Status(report.status)
         has = self._capabilities
         telemetry = events.Telemetry(
@@ -230,7 +233,7 @@ class OmnibotHost:
 
     def _refuse(self, version: int) -> list[Event]:
         """Told again at every answer: the owner sees that the base is there."""
-        self._info = None
+        self._info = self._setpoint = None
         reason = f"the base speaks protocol {version}, this program {messages.VERSION}: update its firmware"
         return [Disconnected(reason)]
 

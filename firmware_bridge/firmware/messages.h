@@ -6,7 +6,7 @@
 
 #include <stdint.h>
 
-#define PROTOCOL_VERSION 1
+#define PROTOCOL_VERSION 2
 
 enum {
     HELLO = 0x01,
@@ -50,6 +50,7 @@ struct hello {
 struct setpoint {
     uint32_t boot_nonce;
     int32_t speed[2]; /* left, right; ticks/s */
+    uint32_t mcu_us;  /* when it was sent, by our clock */
 };
 
 struct release {
@@ -95,5 +96,5 @@ struct config_report {
     uint8_t source;
 };
 
-_Static_assert(sizeof(struct setpoint) == 12 && sizeof(struct hello_reply) == 33, "as in PROTOCOL.md");
+_Static_assert(sizeof(struct setpoint) == 16 && sizeof(struct hello_reply) == 33, "as in PROTOCOL.md");
 _Static_assert(sizeof(struct telemetry) == 30 && sizeof(struct configure) == 26, "as in PROTOCOL.md");

@@ -12,6 +12,10 @@
 #include <stdbool.h>
 #include <string.h>
 
+/* By how much a set-point may be old, and by how much its host's reckoning of our clock may be ahead of it; us. */
+#define LATE 250000
+#define EARLY 20000
+
 static uint32_t nonce;
 static bool greeted;
 static bool latched;       /* emergency stop */
@@ -68,11 +72,19 @@ static bool newer(uint8_t seq)
     return ahead != 0 && (ahead < 128 || !motor_permitted());
 }
 
+static bool untimely(uint32_t mcu_us)
+{
+    return clock_us() - mcu_us + EARLY > LATE + EARLY;
+}
+
 static void on_setpoint(const struct setpoint *setpoint, uint8_t seq)
 {
+    bool rest = setpoint->speed[LEFT] == 0 && setpoint->speed[RIGHT] == 0;
     if (!greeted || latched || config_storing())
         return;
     if (setpoint->boot_nonce != nonce || !newer(seq))
+        return;
+    if (!rest && untimely(setpoint->mcu_us))
         return;
     applied = true;
     applied_seq = seq;

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from firmware_bridge.messages import ConfigSource, Configure, Fault, Hello, Polarity, SetPoint, to_bytes
+from firmware_bridge.messages import ConfigSource, Configure, Fault, Hello, Polarity, to_bytes
 from tools.avr.bench import BOOT, Bench
 from tools.avr.robot import FULL_SPEED, LEFT, RIGHT
 
@@ -129,7 +129,7 @@ def test_no_configuration_while_it_drives_or_for_another_boot(bench: Bench) -> N
 
 def test_no_setpoint_is_applied_while_it_is_stored(bench: Bench) -> None:
     bench.greet()
-    messages = (Configure(bench.nonce, **WANTED), SetPoint(bench.nonce, 1500, 1500))
+    messages = (Configure(bench.nonce, **WANTED), bench.setpoint(1500, 1500))
     begin = bench.robot.now
     bench.robot.deliver(b"".join(to_bytes(message, n + 10) for n, message in enumerate(messages)))
     bench.robot.run(0.05)
@@ -183,5 +183,5 @@ def test_damaged_numbers_begin_anew_and_the_base_still_answers(bench: Bench) -> 
     restart(bench)
     assert bench.nonce == 1
     bench.say(Hello())
-    bench.say(SetPoint(bench.nonce, 1000, 1000))
+    bench.say(bench.setpoint(1000, 1000))
     assert bench.report().setpoint_seq == bench.seq

@@ -35,14 +35,14 @@ def driven(bench: Bench) -> bool:
 
 def test_silent_and_still_before_hello(any_bench: Bench) -> None:
     bench = any_bench
-    bench.say(SetPoint(1, 1000, 1000))
+    bench.say(bench.setpoint(1000, 1000, 1))
     bench.robot.run(0.3)
     assert bench.heard() == [] and not driven(bench)
 
 
 def test_introduces_itself(any_bench: Bench) -> None:
     reply = any_bench.greet()
-    assert (reply.version, reply.watchdog_ms, reply.ticks_per_1000_rev) == (1, 250, 1_440_000)
+    assert (reply.version, reply.watchdog_ms, reply.ticks_per_1000_rev) == (2, 250, 1_440_000)
     assert reply.board.rstrip(b"\0").decode() == any_bench.robot.board.mcu
     assert messages.names(messages.Capability(reply.capabilities)) == {
         "bumpers", "charging", "battery", "configuration"
@@ -51,8 +51,8 @@ def test_introduces_itself(any_bench: Bench) -> None:
 
 
 def test_serves_no_other_version_but_answers(bench: Bench) -> None:
-    reply = bench.ask(Hello(version=2), HelloReply)
-    bench.say(SetPoint(reply.boot_nonce, 1000, 1000))
+    reply = bench.ask(Hello(version=3), HelloReply)
+    bench.say(bench.setpoint(1000, 1000, reply.boot_nonce))
     assert not driven(bench)
     bench.robot.run(0.2)
     assert bench.heard() == []
@@ -81,7 +81,7 @@ def test_a_hello_stops_the_wheels(bench: Bench) -> None:
 def test_only_a_newer_setpoint_counts(bench: Bench, ahead: int) -> None:
     bench.greet()
     last = bench.drive(2000, 2000)
-    bench.say(SetPoint(bench.nonce, -2000, -2000), (last + ahead) % 256)
+    bench.say(bench.setpoint(-2000, -2000), (last + ahead) % 256)
     report = bench.report()
     assert report.setpoint_seq == last and report.pwm_left > 0
 
@@ -90,17 +90,34 @@ def test_a_repeated_setpoint_never_moves_the_wheels_again(bench: Bench) -> None:
     bench.greet()
     last = bench.drive(2000, 2000)
     bench.rest()
-    bench.say(SetPoint(bench.nonce, 2000, 2000), last)
+    bench.say(bench.setpoint(2000, 2000), last)
     assert not driven(bench)
-    bench.say(SetPoint(bench.nonce, 2000, 2000), (last - 5) % 256)  # the host went on counting all round
+    bench.say(bench.setpoint(2000, 2000), (last - 5) % 256)  # the host went on counting all round
     assert driven(bench)
 
 
 def test_a_setpoint_for_another_boot_is_dropped(bench: Bench) -> None:
     bench.greet()
     for nonce in (bench.nonce - 1, bench.nonce + 1, 0, 0xFFFFFFFF, bench.nonce | 1 << 31):
-        bench.say(SetPoint(nonce, 2000, 2000))
+        bench.say(bench.setpoint(2000, 2000, nonce))
         assert not driven(bench)
+
+
+@pytest.mark.parametrize(("age", "moves"), [(0.24, True), (0.26, False), (3.0, False), (-0.01, True), (-0.03, False)])
+def test_a_setpoint_that_comes_late_does_not_move_the_wheels(any_bench: Bench, age: float, moves: bool) -> None:
+    bench = any_bench
+    bench.greet()
+    bench.robot.run(0.3)
+    bench.say(bench.setpoint(2000, 2000, age=age))
+    assert driven(bench) == moves
+
+
+def test_rest_is_never_late(bench: Bench) -> None:
+    bench.greet()
+    bench.hold(2000, 2000, 0.3)
+    bench.say(bench.setpoint(0, 0, age=3.0))
+    bench.robot.run(0.2)  # it brakes
+    assert not driven(bench) and bench.report().status & Status.MOVING_ALLOWED
 
 
 def test_the_emergency_stop_latches(any_bench: Bench) -> None:
@@ -110,7 +127,7 @@ def test_the_emergency_stop_latches(any_bench: Bench) -> None:
     began = bench.robot.now
     assert bench.ask(Stop(), Ack) == Ack(Stop.CODE, bench.seq)
     assert bench.robot.driven_at - began < 0.003  # 6 bytes of line, and the main loop
-    for attempt in (SetPoint(bench.nonce, 2000, 2000), Hello(), Release(bench.nonce + 1)):
+    for attempt in (bench.setpoint(2000, 2000), Hello(), Release(bench.nonce + 1)):
         bench.say(attempt)
         bench.drive(2000, 2000)
         assert not driven(bench), attempt
@@ -148,7 +165,7 @@ def test_after_a_reset_hands_must_be_shaken_again(any_bench: Bench) -> None:
     bench.robot.run(0.1)
     assert bench.heard() == []
     assert bench.greet().boot_nonce != before
-    bench.say(SetPoint(before, 2000, 2000))
+    bench.say(bench.setpoint(2000, 2000, before))
     bench.say(Release(before))
     assert not driven(bench) and not any(isinstance(message, Ack) for message in bench.heard())
     bench.drive(2000, 2000)
@@ -162,7 +179,10 @@ def test_no_setpoint_from_before_a_reset_is_ever_applied(bench: Bench) -> None:
         bench.greet()
         bench.hold(2000, 2000, 0.15)
         under_way = [messages.to_bytes(Hello(), 1)] * 3
-        under_way += [messages.to_bytes(SetPoint(bench.nonce, 2000, 2000), rng.randrange(256)) for _ in range(40)]
+        # As they were sent, and as if they had been sent to the new life.
+        times = [bench.setpoint(0, 0).mcu_us] * 20 + [rng.randrange(200_000) for _ in range(20)]
+        late = [SetPoint(bench.nonce, 2000, 2000, time) for time in times]
+        under_way += [messages.to_bytes(message, rng.randrange(256)) for message in late]
         rng.shuffle(under_way)
         bench.robot.send(b"".join(under_way))
         bench.robot.run(rng.uniform(0.0, 0.03))
@@ -236,11 +256,13 @@ def answers_in(said: list[Message]) -> list[tuple[type, int]]:
     return [(type(m), m.kind if isinstance(m, Ack) else 0) for m in said if isinstance(m, HelloReply | Ack)]
 
 
-def invent(rng: random.Random, nonce: int, last_seq: int) -> tuple[Message, int]:
+def invent(rng: random.Random, bench: Bench, last_seq: int) -> tuple[Message, int]:
     """A message that a host, or what a line makes of one, might send."""
-    nonce = nonce if rng.random() < 0.8 else rng.randrange(2**32)
-    speeds = rng.choice(((1500, 1500), (-800, 900), (1000, 0)))
-    message = rng.choice((SetPoint(nonce, *speeds),) * 12 + (Hello(), Hello(2), Stop(), Release(nonce), Release(nonce)))
+    nonce = bench.nonce if rng.random() < 0.8 else rng.randrange(2**32)
+    speeds = rng.choice(((1500, 1500), (-800, 900), (1000, 0), (0, 0)))
+    age = rng.choice((0.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3, 10.0, -0.01, -0.05))
+    drive = bench.setpoint(*speeds, nonce, age=age)
+    message = rng.choice((drive,) * 12 + (Hello(), Hello(3), Stop(), Release(nonce), Release(nonce)))
     seq = (last_seq + rng.choice((1, 1, 1, 1, 2, 0, -1, 100, 127, 128, 200))) % 256
     return message, seq
 
@@ -263,7 +285,7 @@ def converse(bench: Bench, count: int, seed: int) -> None:
     rng = random.Random(seed)
     seq = bench.seq
     for _ in range(count):
-        message, number = invent(rng, bench.nonce, seq)
+        message, number = invent(rng, bench, seq)
         data = messages.to_bytes(message, number)
         if rng.random() < 0.1:
             at = rng.randrange(len(data) - 1)
@@ -282,6 +304,6 @@ def converse(bench: Bench, count: int, seed: int) -> None:
 def assert_same_state(bench: Bench, twin: Twin) -> None:
     twin.settle(bench)
     report = bench.report()
-    assert bool(report.status & Status.MOVING_ALLOWED) == (twin.device.target != (0, 0))
+    assert bool(report.status & Status.MOVING_ALLOWED) == (twin.device._fed_at is not None)
     assert bool(report.status & Status.EMERGENCY_STOP) == twin.device.emergency_stopped
     assert report.setpoint_seq == (twin.device._setpoint_seq or 0)

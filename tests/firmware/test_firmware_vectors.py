@@ -64,7 +64,8 @@ def test_the_vectors_of_the_host_are_understood(any_bench: Bench) -> None:
     bench = any_bench
     born_as(bench, NONCE)
     tell(bench, GOOD["Hello"])
-    bench.robot.deliver(GOOD["SetPoint"])  # number 2, left 1200, right -1200
+    bench.robot.run(0.1)
+    bench.robot.deliver(GOOD["SetPoint"])  # number 2, left 1200, right -1200, 0.1 s after boot
     bench.robot.run(0.1)
     report = bench.report()
     assert report.boot_nonce == NONCE and report.setpoint_seq == 2

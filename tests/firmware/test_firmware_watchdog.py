@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from firmware_bridge import messages
-from firmware_bridge.messages import GetConfig, Hello, SetPoint
+from firmware_bridge.messages import GetConfig, Hello
 from tools.avr.bench import BOOT, Bench
 
 LIMIT, TOLERANCE = 0.250, 0.010
@@ -25,31 +25,37 @@ def nothing(bench: Bench, rng: random.Random) -> bytes:
 
 
 def the_last_again(bench: Bench, rng: random.Random) -> bytes:
-    return messages.to_bytes(SetPoint(bench.nonce, 2000, 2000), bench.seq)
+    return messages.to_bytes(bench.setpoint(2000, 2000), bench.seq)
 
 
 def an_old_one(bench: Bench, rng: random.Random) -> bytes:
-    return messages.to_bytes(SetPoint(bench.nonce, 2000, 2000), (bench.seq - rng.randrange(1, 129)) % 256)
+    return messages.to_bytes(bench.setpoint(2000, 2000), (bench.seq - rng.randrange(1, 129)) % 256)
+
+
+def a_late_one(bench: Bench, rng: random.Random) -> bytes:
+    late = bench.setpoint(2000, 2000, age=rng.uniform(LIMIT + TOLERANCE, 60.0))
+    return messages.to_bytes(late, (bench.seq + 1) % 256)
 
 
 def another_boots(bench: Bench, rng: random.Random) -> bytes:
-    return messages.to_bytes(SetPoint(bench.nonce ^ 1 << rng.randrange(32), 2000, 2000), (bench.seq + 1) % 256)
+    return messages.to_bytes(bench.setpoint(2000, 2000, bench.nonce ^ 1 << rng.randrange(32)), (bench.seq + 1) % 256)
 
 
 def a_broken_one(bench: Bench, rng: random.Random) -> bytes:
-    good = messages.to_bytes(SetPoint(bench.nonce, 2000, 2000), (bench.seq + 1) % 256)
+    good = messages.to_bytes(bench.setpoint(2000, 2000), (bench.seq + 1) % 256)
     at = rng.randrange(1, len(good) - 1)
     return good[:at] + bytes((good[at] ^ 1 << rng.randrange(8),)) + good[at + 1 :]
 
 
 def other_things(bench: Bench, rng: random.Random) -> bytes:
-    return messages.to_bytes(rng.choice((GetConfig(), Hello(2))), (bench.seq + 1) % 256)
+    return messages.to_bytes(rng.choice((GetConfig(), Hello(3))), (bench.seq + 1) % 256)
 
 
 AFTERWARDS: tuple[Chatter, ...] = (
     nothing,
     the_last_again,
     an_old_one,
+    a_late_one,
     another_boots,
     a_broken_one,
     other_things,
@@ -113,14 +119,14 @@ def test_a_hung_program_stops_the_wheels_and_starts_anew(any_bench: Bench, in_in
     repair = bench.robot.hang(in_interrupt=in_interrupt)
     hung_at = bench.robot.now
     for _ in range(10):  # the host goes on
-        bench.say(SetPoint(before, 2500, -2500))
+        bench.say(bench.setpoint(2500, -2500, before))
         bench.robot.run(0.02)
     assert bench.robot.driven_at - hung_at <= HANG_LIMIT
     assert bench.robot.resets >= 1
     repair()
     bench.robot.run(0.2)
     bench.heard()
-    bench.say(SetPoint(before, 2500, -2500))
+    bench.say(bench.setpoint(2500, -2500, before))
     bench.robot.run(0.1)
     assert bench.robot.driven_at - hung_at <= HANG_LIMIT and bench.heard() == []
     assert bench.greet().boot_nonce != before
@@ -134,7 +140,7 @@ def test_a_program_that_hangs_at_each_boot_never_drives(bench: Bench) -> None:
     quiet_since = bench.robot.now
     for n in range(20):
         bench.say(Hello(), n)
-        bench.say(SetPoint(bench.nonce + n, 2500, 2500), n + 1)
+        bench.say(bench.setpoint(2500, 2500, bench.nonce + n), n + 1)
         bench.robot.run(0.05)
     assert bench.robot.resets > 5
     assert bench.robot.driven_at < quiet_since

@@ -1,78 +1,18 @@
-"""Host and device of the native protocol joined in memory, over good lines and bad ones."""
+"""The native protocol, host and device joined: hands shaken, driving, and what lines and restarts do to both."""
 
 from __future__ import annotations
 
 import math
 
 import pytest
+from omnibot_pair import OTHER_VERSION, STEP, TURN, Pair, connected_pair, kinds_sent
 
 from firmware_bridge import messages
 from firmware_bridge.bases.omnibot import OmnibotHost
 from firmware_bridge.device import ALL, OmnibotDevice
-from firmware_bridge.events import BridgeError, Connected, Disconnected, Event, Telemetry
-from firmware_bridge.faults import HostileLine
+from firmware_bridge.events import BridgeError, Connected, Disconnected, Telemetry
 from firmware_bridge.framing import Decoder
-from firmware_bridge.messages import Capability, Hello, SetPoint, Stop
-
-STEP = 0.01
-TURN = 2.0 * math.pi  # rad/s at which a wheel makes one turn, 1000 ticks, a second
-
-
-class Pair:
-    """Both ends, a line each way, a clock, and wheels that do as they are told at once."""
-
-    def __init__(self, seed: int = 1, **faults: float) -> None:
-        self.host = OmnibotHost()
-        self.device = OmnibotDevice(1000.0, boot_nonce=0xA0000001)
-        self.down, self.up = HostileLine(seed), HostileLine(seed + 100)
-        for line in (self.down, self.up):
-            for name, value in faults.items():
-                setattr(line, name, value)
-        self.now = 5.0
-        self.wheels = [0.0, 0.0]
-        self.events: list[Event] = []
-        self.targets: set[tuple[int, int]] = set()
-
-    def run(self, seconds: float, drive: tuple[float, float] | None = None) -> None:
-        """Let time pass; with `drive`, the host asks for these speeds at 20 Hz."""
-        for tick in range(round(seconds / STEP)):
-            if drive is not None and tick % 5 == 0:
-                self.host.drive(*drive, self.now)
-            self.step()
-
-    def step(self) -> None:
-        self.down.push(self.host.data_to_send(), self.now)
-        for data in self.down.pull(self.now):
-            self.device.receive(data, self.now)
-            self.targets.add(self.device.target)
-        self.wheels = [w + STEP * t for w, t in zip(self.wheels, self.device.target, strict=True)]
-        self.device.set_state(*map(round, self.wheels))
-        self.device.poll(self.now)
-        self.up.push(self.device.data_to_send(), self.now)
-        for data in self.up.pull(self.now):
-            self.events += self.host.receive(data, self.now)
-        self.events += self.host.poll(self.now)
-        self.now += STEP
-
-    def happened(self) -> list[Event]:
-        """Connections and disconnections so far, and forget them and all telemetry."""
-        links = [event for event in self.events if not isinstance(event, Telemetry)]
-        self.events = []
-        return links
-
-    def latest(self) -> Telemetry:
-        return [event for event in self.events if isinstance(event, Telemetry)][-1]
-
-
-def connected_pair(seed: int = 1, **faults: float) -> Pair:
-    pair = Pair(seed, **faults)
-    pair.run(0.1)
-    assert isinstance(pair.happened()[0], Connected)
-    return pair
-
-
-def kinds_sent(data: bytes) -> list[type[messages.Message]]:
-    return [type(messages.parse(frame)) for frame in Decoder().feed(data)]
+from firmware_bridge.messages import Capability, Hello, SetPoint
 
 
 def test_connects_and_knows_the_base() -> None:
@@ -109,7 +49,9 @@ def test_only_the_newest_set_point_is_sent_and_only_once() -> None:
     for speed in (1.0, 2.0, 3.0):
         pair.host.drive(speed, speed, pair.now)
     (frame,) = Decoder().feed(pair.host.data_to_send())
-    assert messages.parse(frame) == SetPoint(0xA0000001, round(3000 / TURN), round(3000 / TURN))
+    sent = messages.parse(frame)
+    assert isinstance(sent, SetPoint)
+    assert (sent.boot_nonce, sent.left, sent.right) == (0xA0000001, round(3000 / TURN), round(3000 / TURN))
     assert pair.host.data_to_send() == b""
 
 
@@ -140,6 +82,47 @@ def test_bad_lines(seed: int, faults: dict[str, float]) -> None:
     assert [event for event in pair.happened() if isinstance(event, Disconnected)] == []
 
 
+def test_set_points_that_a_line_kept_do_not_move_the_wheels() -> None:
+    """As an adapter does that hangs for a while and then delivers what it had been given."""
+    pair = connected_pair()
+    pair.run(0.5, drive=(TURN, TURN))
+    kept = []
+    for _ in range(10):
+        pair.host.drive(TURN, TURN, pair.now)
+        kept.append(pair.host.data_to_send())
+        pair.run(0.02)
+    pair.run(0.6)  # the host has died
+    before = pair.wheels.copy()
+    for late in kept:
+        pair.device.receive(late, pair.now)
+        pair.step()
+    pair.run(0.3)
+    assert pair.wheels == before
+    pair.run(0.2, drive=(TURN, TURN))
+    assert pair.wheels != before
+
+
+def test_a_host_drives_in_the_time_that_the_base_has_told() -> None:
+    """The reckoned clock goes on between two reports, and across the wrap of the base's 32 bits."""
+    host, device = OmnibotHost(), OmnibotDevice(1000.0, 7)
+    device.poll(0.0)
+    now = 2**32 / 1e6 - 0.01
+    device.receive(messages.to_bytes(Hello(), 1), now)
+    host.receive(device.data_to_send(), 9.0)
+    host.drive(TURN, TURN, 9.0)
+    assert host.data_to_send() == b""  # it knows the base, not its time
+    device.poll(now)
+    host.receive(device.data_to_send(), 9.0)
+    for later in (0.0, 0.02, 0.24):
+        host.drive(TURN, TURN, 9.0 + later)
+        (frame,) = Decoder().feed(host.data_to_send())
+        sent = messages.parse(frame)
+        assert isinstance(sent, SetPoint)
+        assert (sent.mcu_us - round((now + later) * 1e6) + 10) % 2**32 <= 20
+        device.receive(messages.to_bytes(sent, frame.seq), now + later)
+        assert device.target == (1000, 1000)
+
+
 def test_silence() -> None:
     pair = connected_pair()
     pair.up.loss = 1.0
@@ -152,6 +135,15 @@ def test_silence() -> None:
     pair.up.loss = 0.0
     pair.run(0.3)
     assert [type(event) for event in pair.happened()] == [Connected]
+
+
+def test_what_waits_for_a_base_that_is_gone_is_void() -> None:
+    for gone in (lambda host, now: host.poll(now + 0.31), lambda host, now: host.receive(OTHER_VERSION, now)):
+        pair = connected_pair()
+        pair.host.drive(TURN, TURN, pair.now)
+        (event,) = gone(pair.host, pair.now)
+        assert isinstance(event, Disconnected)
+        assert SetPoint not in kinds_sent(pair.host.data_to_send())
 
 
 def test_restart_in_mid_message() -> None:
@@ -185,7 +177,7 @@ def test_encoders_start_anew_after_a_restart() -> None:
 
 def test_no_set_point_of_an_earlier_life_is_applied_though_a_late_hello_greets_the_new_one() -> None:
     pair = connected_pair()
-    pair.down.delay = pair.up.delay = 0.2
+    pair.down.delay = pair.up.delay = 0.1
     pair.run(1.0, drive=(TURN, TURN))
     assert pair.device.target == (1000, 1000)
     pair.down.push(messages.to_bytes(Hello(), 200), pair.now)
@@ -223,93 +215,6 @@ def test_a_base_without_contact_or_gauge_says_nothing_of_them() -> None:
     pair.device = OmnibotDevice(1000.0, 3, capabilities=ALL & ~(Capability.CHARGING | Capability.BATTERY))
     pair.run(0.2)
     assert (pair.latest().charging, pair.latest().battery) == (None, None)
-
-
-def test_emergency_stop_latches_until_release() -> None:
-    pair = connected_pair()
-    pair.run(0.5, drive=(TURN, TURN))
-    pair.host.emergency_stop(pair.now)
-    pair.step()
-    assert pair.device.target == (0, 0)
-    pair.run(1.0, drive=(TURN, TURN))
-    assert pair.device.target == (0, 0) and pair.device.emergency_stopped
-    assert pair.latest().emergency_stop
-    pair.host.release(pair.now)
-    pair.run(0.1)
-    assert not pair.device.emergency_stopped
-    assert pair.device.target == (0, 0)
-    pair.run(0.1, drive=(TURN, TURN))
-    assert pair.device.target == (1000, 1000)
-    assert not pair.latest().emergency_stop
-
-
-def test_latched_base_refuses_the_set_points_of_any_host() -> None:
-    device = OmnibotDevice(1000.0, 9)
-    for message in (Hello(), Stop(), Hello(), SetPoint(9, 5, 5)):
-        device.receive(messages.to_bytes(message, 1), 0.0)
-    assert device.target == (0, 0)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_emergency_stop_gets_through_a_bad_line(seed: int) -> None:
-    pair = connected_pair(seed=seed)
-    pair.down.loss = pair.up.loss = 0.5
-    pair.host.emergency_stop(pair.now)
-    pair.run(0.6)
-    assert pair.device.emergency_stopped
-    pair.host.release(pair.now)
-    pair.run(0.6)
-    assert not pair.device.emergency_stopped
-
-
-def test_emergency_stop_before_hands_are_shaken() -> None:
-    host = OmnibotHost()
-    host.emergency_stop(0.0)
-    assert kinds_sent(host.data_to_send()) == [Stop]
-
-
-def test_no_set_point_is_sent_while_a_stop_is_wanted() -> None:
-    pair = connected_pair()
-    pair.host.emergency_stop(pair.now)
-    pair.host.drive(TURN, TURN, pair.now)
-    assert kinds_sent(pair.host.data_to_send()) == [Stop]
-
-
-def test_emergency_stop_outlives_a_restart() -> None:
-    pair = connected_pair()
-    pair.host.emergency_stop(pair.now)
-    pair.run(0.1)
-    pair.device.reset(0xA0000002)
-    assert not pair.device.emergency_stopped
-    pair.run(1.0, drive=(TURN, TURN))
-    assert pair.device.emergency_stopped
-    assert pair.targets <= {(0, 0)}
-
-
-def test_retries_are_bounded_and_acknowledgement_ends_them() -> None:
-    pair = connected_pair()
-    pair.host.emergency_stop(pair.now)
-    pair.run(2.0)
-    assert pair.happened() == []
-    pair.down.loss = 1.0
-    pair.host.release(pair.now)
-    pair.run(0.9)
-    assert pair.happened() == []
-    pair.run(0.4)  # the clock of this test stretches 50 ms to up to 60
-    assert pair.happened()[0] == Disconnected("no acknowledgement of RELEASE")
-
-
-def test_stop_cancels_a_release_under_way() -> None:
-    pair = connected_pair()
-    pair.host.emergency_stop(pair.now)
-    pair.run(0.1)
-    pair.down.loss = 1.0
-    pair.host.release(pair.now)
-    pair.run(0.1)
-    pair.host.emergency_stop(pair.now)
-    pair.down.loss = 0.0
-    pair.run(0.3)
-    assert pair.device.emergency_stopped
 
 
 def test_speeds_that_are_no_speeds_are_our_bug() -> None:

@@ -45,8 +45,8 @@ def test_fault_bits_have_names_even_new_ones() -> None:
 
 def test_other_version_is_refused_with_a_reason() -> None:
     host = OmnibotHost()
-    (event,) = host.receive(bytes.fromhex("07 81 06 02 2a a6 7e 00"), 0.0)
-    assert isinstance(event, Disconnected) and "protocol 2" in event.reason
+    (event,) = host.receive(messages.encode(0x81, 6, b"\x03*"), 0.0)
+    assert isinstance(event, Disconnected) and "protocol 3" in event.reason
     host.drive(1.0, 1.0, 0.0)
     assert host.data_to_send() == b""
 

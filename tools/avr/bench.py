@@ -13,6 +13,7 @@ from tools.avr.boards import UNO, Board
 from tools.avr.robot import AvrRobot
 
 BOOT = 0.05  # s until it listens; the EEPROM's write takes most of it on a real chip
+CLOCK_STARTS = 0.005  # s after power-up or reset, at the latest
 TURNAROUND = 0.002  # s from the last byte of a request to its effect
 FRAME_TIME = 0.005  # s; the longest frame takes less
 SETPOINT_PERIOD = 0.1  # s, as the daemon sends them
@@ -98,9 +99,14 @@ class Bench:
         self.heard()
         return self.await_one(Telemetry)
 
+    def setpoint(self, left: int, right: int, nonce: int | None = None, *, age: float = 0.0) -> SetPoint:
+        """Speeds in ticks/s as a host would have sent them `age` seconds ago; None: for the boot it greeted."""
+        mcu_us = round((self.robot.up - CLOCK_STARTS - age) * 1e6) % 2**32
+        return SetPoint(self.nonce if nonce is None else nonce, left, right, mcu_us)
+
     def drive(self, left: int, right: int) -> int:
         """One set-point, ticks/s; returns its number."""
-        return self.say(SetPoint(self.nonce, left, right))
+        return self.say(self.setpoint(left, right))
 
     def hold(self, left: int, right: int, seconds: float) -> None:
         """Set-points as a daemon sends them, for so long."""

@@ -51,6 +51,7 @@ _FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "robot_cycle": (c_uint64,),
     "robot_driven": (c_uint64,),
     "robot_resets": (c_uint64,),
+    "robot_reset_at": (c_uint64,),
     "robot_lost_bytes": (c_uint64,),
     "robot_deaf_longest": (c_uint64,),
     "robot_duty": (c_double, c_int),
@@ -127,6 +128,11 @@ class AvrRobot:
     @property
     def now(self) -> float:
         return int(self._call("cycle")) / HZ
+
+    @property
+    def up(self) -> float:
+        """Seconds since it started last."""
+        return (int(self._call("cycle")) - int(self._call("reset_at"))) / HZ
 
     def run(self, seconds: float) -> None:
         """Lets so much time pass, to within an instruction."""

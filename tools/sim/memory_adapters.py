@@ -53,6 +53,7 @@ class MemoryCamera:
 
     rate_hz = 1.0 / FRAME_PERIOD
     reason = ""
+    stream = None  # no V4L2 camera
 
     def __init__(self, expose: Callable[[float], bytes], size: tuple[int, int]) -> None:
         self._expose = expose

@@ -48,6 +48,7 @@ static void after_reset(avr_io_t *io)
     struct robot *robot = (struct robot *)io;
     avr_t *avr = robot->avr;
     robot->resets++;
+    robot->reset_at = avr->cycle;
     robot->deaf_since = 0;
     show_all_again(robot);
     for (int channel = 0; channel < ADC_CHANNELS; channel++)
@@ -121,6 +122,7 @@ int robot_run(struct robot *robot, uint64_t cycle)
 
 uint64_t robot_cycle(const struct robot *robot) { return robot->avr->cycle; }
 uint64_t robot_driven(const struct robot *robot) { return robot->driven; }
+uint64_t robot_reset_at(const struct robot *robot) { return robot->reset_at; }
 uint64_t robot_resets(const struct robot *robot) { return robot->resets; }
 uint64_t robot_lost_bytes(const struct robot *robot) { return robot->lost_bytes; }
 uint64_t robot_deaf_longest(const struct robot *robot) { return robot->deaf_longest; }

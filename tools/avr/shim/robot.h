@@ -73,7 +73,7 @@ struct robot {
     int input_count;
     uint32_t millivolts[ADC_CHANNELS];
     uint64_t driven; /* the last step at which a motor was driven */
-    uint64_t resets;
+    uint64_t resets, reset_at; /* how often it started anew, and when it last did */
     uint64_t lost_bytes; /* came while the UART was full */
     uint64_t byte_time;  /* cycles, as corrected */
     uint64_t deaf_since, deaf_longest; /* interrupts off, in cycles */
