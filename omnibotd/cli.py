@@ -11,12 +11,12 @@ from collections.abc import Sequence
 
 from omnibotd import cli_output
 from omnibotd.cli_parser import parser
-from omnibotd.cli_verbs import DamagedMap, Terminal, UsageError, print_json
+from omnibotd.cli_verbs import NO_DAEMON, BadNews, Terminal, UsageError, print_json
 from omnibotd.control_client import NoDaemon, RemoteError
 from omnibotd.control_protocol import CANCELLED, INVALID_PARAMS, JOB_FAILED, REFUSED
 
 DEFAULT_SOCKET = "/run/omnibotd/control.sock"
-DONE, USAGE, NO_DAEMON = 0, 2, 3  # exit codes; the others are the daemon's own: JOB_FAILED, REFUSED, CANCELLED
+DONE, USAGE = 0, 2  # exit codes, beside NO_DAEMON and the daemon's own: JOB_FAILED, REFUSED, CANCELLED
 
 _NEGATIVE = re.compile(r"-\.?\d")
 
@@ -54,7 +54,7 @@ def _failed(as_json: bool, code: int, name: str, message: str, remote: RemoteErr
     report = remote.report if remote else {}
     if as_json:
         error = {"code": code, "name": name, "message": message, **({"report": report} if report else {})}
-        print_json({**(remote.result if isinstance(remote, DamagedMap) else {}), "ok": False, "error": error})
+        print_json({**(remote.result if isinstance(remote, BadNews) else {}), "ok": False, "error": error})
         return code
     print(f"omnibotctl: {name}: {message}", file=sys.stderr)
     if report:
@@ -63,7 +63,7 @@ def _failed(as_json: bool, code: int, name: str, message: str, remote: RemoteErr
 
 
 def _exit_code(code: int) -> int:
-    if code in {JOB_FAILED, REFUSED, CANCELLED}:
+    if code in {JOB_FAILED, NO_DAEMON, REFUSED, CANCELLED}:
         return code
     return USAGE if code == INVALID_PARAMS else JOB_FAILED
 

@@ -53,7 +53,7 @@ def _row(cells: Sequence[str], widths: Sequence[int], right: Sequence[int]) -> s
 
 def feedback(values: Values) -> str:
     """One line of a job's feedback."""
-    parts = [str(values[key]) for key in ("state", "stage") if values.get(key)]
+    parts = [str(values[key]) for key in ("state", "stage", "complaint", "hint") if values.get(key)]
     formats: dict[str, Callable[[Any], str]] = {
         "waypoint": lambda value: (
             f"way-point {value}" + (f" of {values['waypoints']}" if "waypoints" in values else "")
@@ -184,7 +184,12 @@ def _camera(values: Values) -> str:
         return f"{values['source']}, NO PICTURES: {values.get('reason') or 'no reason known'}"
     size = f"{values['width']}x{values['height']}" if values.get("width") else "size unknown"
     age = f", newest {values['age_s']:.2f} s old" if values.get("age_s") is not None else ""
-    return f"{values['source']}, {size}, {values['rate_hz']:.1f} Hz{age}"
+    return f"{values['source']}, {_format(values)}{size}, {values['rate_hz']:.1f} Hz{age}"
+
+
+def _format(values: Values) -> str:
+    stream = values.get("stream")
+    return f"{stream['format']} " if stream else ""
 
 
 def recording(values: Values) -> str:

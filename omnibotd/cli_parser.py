@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any, NoReturn
 
-from omnibotd import __version__, cli_calibrate, cli_docking, cli_files, cli_output
+from omnibotd import __version__, cli_calibrate, cli_docking, cli_doctor, cli_files, cli_output
 from omnibotd import cli_verbs as verbs
 
 
@@ -91,6 +91,13 @@ def _add_at(verb: argparse.ArgumentParser) -> None:
 def _add_watching(group: Any) -> None:
     status = _verb(group, "status", "what the robot is, where, and how it does", verbs.status)
     status.add_argument("--watch", action="store_true", help="again every second, until Ctrl-C")
+    text = (
+        "what is wrong with camera, base, calibration, disk, clock, processor, and how to mend it; without daemon, too"
+    )
+    doctor = _verb(group, "doctor", text, cli_doctor.doctor)
+    doctor.add_argument(
+        "--config", metavar="FILE", default=cli_doctor.CONFIG, help="omnibotd's, read where it does not answer"
+    )
     _verb(group, "events", "what happens, one JSON object a line", verbs.events)
 
 

@@ -15,6 +15,7 @@ from omnibotd.control_client import Client, NoDaemon, RemoteError
 from omnibotd.control_protocol import CANCELLED, JOB_FAILED
 from omnibotd.core.error_name import ErrorName
 
+NO_DAEMON = 3  # exit code
 _REPEAT = 0.1  # s between set-points; the daemon forgets one after half a second or so
 _WATCH = 1.0  # s between pictures of `status --watch`
 
@@ -180,14 +181,14 @@ def verify(terminal: Terminal, options: argparse.Namespace) -> None:
         return
     if not terminal.as_json:
         print(cli_output.verification(result))
-    raise DamagedMap(result)
+    raise BadNews(JOB_FAILED, ErrorName.STORAGE, result["message"], result)
 
 
-class DamagedMap(RemoteError):
-    """`map verify` found damage; `result` tells the sections, in JSON too."""
+class BadNews(RemoteError):
+    """An answer that is a failure in itself: damage, or an unwell robot; `result` is printed in JSON all the same."""
 
-    def __init__(self, result: Mapping[str, Any]) -> None:
-        super().__init__(JOB_FAILED, ErrorName.STORAGE, result["message"])
+    def __init__(self, code: int, name: str, message: str, result: Mapping[str, Any]) -> None:
+        super().__init__(code, name, message)
         self.result = result
 
 

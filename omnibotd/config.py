@@ -21,6 +21,7 @@ __all__ = [
     "DockingConfig",
     "MappingConfig",
     "NavigationConfig",
+    "OdometryConfig",
     "RecordingConfig",
     "StorageConfig",
     "load",
@@ -28,6 +29,8 @@ __all__ = [
 
 BASE_DRIVERS = ("omnibot", "create2", "arduino_bridge")
 PRESETS = ("default", "thesis")
+HEADINGS = ("wheels", "compass", "fused")
+COMPASSES = ("registration", "two_point", "image_flow", "labrosse")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +49,22 @@ class CameraConfig:
     width: int = option("Width of the image.", 640, unit="px", low=160, high=4096)
     height: int = option("Height of the image.", 480, unit="px", low=120, high=4096)
     fps: float = option("Frames a second to ask of the camera.", 15.0, unit="1/s", low=2.0, high=120.0)
+    exposure: float | None = option(
+        "Exposure time to hold a V4L2 camera at, against flicker, glare and blur; left out, the camera chooses.",
+        None,
+        unit="s",
+        low=0.0001,
+        high=0.5,
+        example="0.01",
+    )
+    white_balance: int | None = option(
+        "Colour temperature to hold a V4L2 camera at; left out, the camera chooses.",
+        None,
+        unit="K",
+        low=1000,
+        high=20_000,
+        example="4600",
+    )
     calibration: Path | None = option(
         "Calibration file in the ROS camera_info layout, distortion model equidistant (OpenCV fisheye). "
         "Without it the lens is taken as equidistant, from fov_deg and the image circle. "
@@ -162,6 +181,24 @@ class BaseConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OdometryConfig:
+    """How the robot keeps count of its own motion."""
+
+    heading: str = option(
+        "What tells how far it has turned. compass: what is overhead, the wheels only where that shows nothing. "
+        "fused: both; with compass registration the position, too.",
+        "wheels",
+        choices=HEADINGS,
+    )
+    compass: str = option(
+        "How views of what is overhead are compared, where heading is not wheels. registration: with key views; the "
+        "others are the thesis' methods, frame with frame.",
+        "registration",
+        choices=COMPASSES,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NavigationConfig:
     """How the way is found, and when a place counts as reached."""
 
@@ -247,6 +284,7 @@ class Config:
 
     camera: CameraConfig
     base: BaseConfig
+    odometry: OdometryConfig = OdometryConfig()
     navigation: NavigationConfig = NavigationConfig()
     docking: DockingConfig = DockingConfig()
     recording: RecordingConfig = RecordingConfig()

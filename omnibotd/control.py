@@ -12,6 +12,7 @@ from typing import Any
 
 from firmware_bridge.events import Connected, Disconnected, Telemetry
 from omnibotd.config import Config
+from omnibotd.core.compass.sighted_odometry import SightedOdometry
 from omnibotd.core.decision import Decision, HomingRequest, Observation, Outcome
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D
@@ -31,6 +32,8 @@ log = logging.getLogger(__name__)
 
 PERIOD = 0.1  # s; the thesis' rate, and two set-points within the base's watchdog of 250 ms
 LATENESS_WINDOW = 600  # ticks: the last minute
+# A tick that begins later than half a period after its time counts as late: still well within every base's watchdog.
+LATE = PERIOD / 2.0
 # A percept older than this says nothing about now: perception hangs or the camera does.
 STALE = 1.0
 
@@ -72,7 +75,9 @@ class ControlLoop:
         self.drive = DifferentialDrive(limits.wheel_radius, limits.wheel_separation, limits.wheel_ratio)
         self._ticks_per_rev = limits.ticks_per_rev
         self._base, self._camera, self._notifier = base, camera, notifier
-        self.odometry = WheelOdometry(self.drive)
+        self.wheels = WheelOdometry(self.drive)
+        sighted = config.odometry.heading != "wheels"
+        self.odometry: WheelOdometry | SightedOdometry = SightedOdometry(self.wheels) if sighted else self.wheels
         self.goal_filter = GoalFilter()
         self._gate = SafetyGate(self.limits)
         self.place: PlaceEstimate | None = None
@@ -86,7 +91,7 @@ class ControlLoop:
         self.twist = STOP
         self.moved_at = -math.inf
         self.lateness: deque[float] = deque(maxlen=LATENESS_WINDOW)
-        self.ticks = 0
+        self.ticks = self.late_ticks = 0
         self.events: Callable[[dict[str, Any]], None] = lambda event: None
 
     # ---- what others may ask of it (same event loop, so between two ticks)
@@ -138,9 +143,9 @@ class ControlLoop:
                 case Telemetry():
                     ticks_per_rev = self._ticks_per_rev or (self._base.info.ticks_per_rev if self._base.info else 0.0)
                     if ticks_per_rev > 0.0:
-                        self.odometry.update(event.stamp, event.left_ticks, event.right_ticks, ticks_per_rev)
+                        self.wheels.update(event.stamp, event.left_ticks, event.right_ticks, ticks_per_rev)
                 case Connected(info):
-                    self.odometry.rebase()
+                    self.wheels.rebase()
                     log.info("base connected: %s %s, firmware %s", info.driver, info.board, info.firmware)
                     self.events({"event": "base_connected", "driver": info.driver, "board": info.board})
                 case Disconnected(reason):
@@ -156,6 +161,7 @@ class ControlLoop:
         while True:
             await asyncio.sleep(max(0.0, due - self._now()))
             self.lateness.append(max(0.0, self._now() - due))
+            self.late_ticks += self.lateness[-1] > LATE
             if self._safe_tick():
                 self._notifier.watchdog(self._now())
             # After a stall the missed ticks are not made up: old set-points are worth nothing.

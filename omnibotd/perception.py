@@ -9,8 +9,11 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from omnibotd.config import Config
 from omnibotd.control import ControlLoop
+from omnibotd.core.compass.sighted_odometry import Sight, SightedOdometry, sight
 from omnibotd.core.decision import HomingRequest
 from omnibotd.core.docking.lights import Light, Lights
 from omnibotd.core.errors import CoreError, MapError
@@ -30,6 +33,8 @@ BUSY_PERIOD = 0.1  # s between frames looked at while something moves: the contr
 IDLE_PERIOD = 0.5  # s at rest; an idle robot should leave the processor alone
 CIRCLE_FRAMES = 5  # frames in which the image circle is looked for; noise differs, the circle does not
 DEFAULT_CEILING = 2.2  # m from camera to ceiling where neither the map nor the configuration knows better
+# How far the ceiling may be from there, and from where the configuration has it (shares): lamps and beams hang lower.
+UNMEASURED, MEASURED = 0.3, 0.03
 
 OffLoop = Callable[..., Awaitable[Any]]
 
@@ -43,7 +48,10 @@ class Perception:
         self.lens_known = asyncio.Event()
         self.topo_map: TopoMap | None = None
         self._localizer: Locating | None = None
+        self._edited: TopoMap | None = None  # the last edit since `use` was called last
         self._registration: tuple[str, Lights] | None = None
+        self._sight: Sight | None = None
+        self._sighted_at: Pose2D | None = None  # by the wheels
         self._recorded_at = -math.inf
         self._first_frames: list[Frame] = []
         self.reason = ""
@@ -52,13 +60,16 @@ class Perception:
 
     async def use(self, topo_map: TopoMap | None) -> None:
         """Work with this map from the next frame on. Raises CoreError where it does not fit the camera."""
-        localizer = None
+        localizer, self._edited = None, None
         if topo_map is not None and self.model is not None:
             self.loading = topo_map.name
             try:
                 localizer = await self.localizer_of(topo_map, self.model)
             finally:
                 self.loading = None
+            # Making it ready took seconds on a slow PC; places that were named meanwhile must not be lost.
+            if self._edited is not None and _same_nodes(self._edited, topo_map):
+                topo_map = self._edited
         self.topo_map, self._localizer, self._registration = topo_map, localizer, None
         self._control.forget_pose()
 
@@ -77,7 +88,7 @@ class Perception:
 
     def edited(self, topo_map: TopoMap) -> None:
         """The same nodes with other places or docks: the pose stays."""
-        self.topo_map, self._registration = topo_map, None
+        self.topo_map, self._registration, self._edited = topo_map, None, topo_map
 
     async def run(self) -> None:
         """Look at the newest frame, then rest until the next is due; never more than one frame in flight."""
@@ -95,9 +106,11 @@ class Perception:
     async def _look(self, frame: Frame) -> None:
         try:
             self._control.absorb()
+            if self._sight is not None:
+                await self._correct_odometry(self._sight, frame)
             odom_from_base = self._control.odometry.at(frame.stamp)
-            if self.witness is not None:
-                self.witness(frame, odom_from_base)
+            if self.witness is not None:  # wheels are calibrated, too
+                self.witness(frame, self._control.wheels.at(frame.stamp))
             if self.model is None:
                 await self._learn_camera(frame)
             if self._control.recorder is not None:
@@ -108,6 +121,22 @@ class Perception:
             if str(error) != self.reason:  # once, not ten times a second
                 log.warning("frame not used: %s", error)
             self.reason = str(error)
+
+    async def _correct_odometry(self, sight: Sight, frame: Frame) -> None:
+        """By what the frame shows, unless the base stands still: that tells nothing new, ten times a second."""
+        by_wheels = self._control.wheels.at(frame.stamp)
+        if by_wheels == self._sighted_at:
+            return
+        seen = await self._off_loop(sight.update, frame, by_wheels)
+        self._sighted_at = by_wheels
+        odometry = self._control.odometry
+        if isinstance(odometry, SightedOdometry):
+            odometry.correct(seen, by_wheels)
+
+    def _sight_for(self, model: CameraModel) -> Sight:
+        settings, height = self._config.odometry, self._config.docking.ceiling_height
+        error = UNMEASURED if height is None else MEASURED
+        return sight(settings.heading, settings.compass, model, height or DEFAULT_CEILING, error)
 
     async def _learn_camera(self, frame: Frame) -> None:
         """The lens from the calibration file, else from the image circle found in the first frames."""
@@ -126,6 +155,8 @@ class Perception:
         if settings.centre is not None:
             model = replace(model, cx=settings.centre[0], cy=settings.centre[1])
         self.model = replace(model, mount_yaw=settings.mount_yaw, tilt=settings.tilt)
+        if self._config.odometry.heading != "wheels":
+            self._sight = await self._off_loop(self._sight_for, self.model)
         self.lens_known.set()
         self._first_frames = []
         log.info(
@@ -184,6 +215,10 @@ class Perception:
         if self._config.docking.ceiling_height is not None:
             return self._config.docking.ceiling_height
         return topo_map.ceiling_height if math.isfinite(topo_map.ceiling_height) else DEFAULT_CEILING
+
+
+def _same_nodes(one: TopoMap, other: TopoMap) -> bool:
+    return one.name == other.name and np.array_equal(one.poses, other.poses)
 
 
 def find_lens(frames: list[Frame], fov: float) -> CameraModel:

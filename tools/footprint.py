@@ -36,6 +36,7 @@ from tools.sim.world import World
 WORLD, SEED = "tools.sim.ceilings:tiles", 1
 AREA = 2.0  # m from the middle to the edge of the taught square
 SPACING = 0.1  # m between pictures
+BEFORE_DOCK = 0.1  # share of its goals
 SLIP = 0.01  # relative, of each odometry step
 CORNERS = ((1.5, 1.5, 0.0), (-1.5, -1.5, 0.0))  # true poses between which it travels
 SETTLE = 5.0  # s
@@ -61,7 +62,7 @@ class Cost:
 
 
 def drive(world: World, nodes: int) -> Iterator[TeachingSample]:
-    """Pictures every 10 cm of a drive to random points of the square, with odometry that slips."""
+    """Pictures every 10 cm of a drive to random points of the square, one in ten before the dock; odometry slips."""
     rng, noise = random.Random(SEED), np.random.default_rng(SEED)
     true, odom, target = Pose2D(), Pose2D(), Pose2D()
     for k in range(nodes):
@@ -69,6 +70,8 @@ def drive(world: World, nodes: int) -> Iterator[TeachingSample]:
         yield TeachingSample(0.2 * k, odom, Frame(0.2 * k, image))
         while true.distance(target) < SPACING:
             target = Pose2D(rng.uniform(-AREA, AREA), rng.uniform(-AREA, AREA))
+            if rng.random() < BEFORE_DOCK:
+                target = Pose2D(*world.dock) @ Pose2D(-rng.uniform(0.05, 1.2), rng.uniform(-0.3, 0.3))
         turn = true.bearing(target)
         step = Pose2D(SPACING * math.cos(turn), SPACING * math.sin(turn), turn)
         slipped = 1.0 + SLIP * noise.standard_normal(2)

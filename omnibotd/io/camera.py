@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import threading
 from collections import deque
@@ -24,8 +25,11 @@ from omnibotd.io.camera_http import http_frames
 from omnibotd.io.camera_jpeg import whole
 from omnibotd.io.camera_replay import frames_of, paced
 from omnibotd.io.camera_v4l2 import v4l2_frames
+from omnibotd.io.camera_v4l2_modes import Stream, Wanted
 
-__all__ = ["Camera", "CameraError", "FrameSource", "frame_source", "frames_of", "load_calibration"]
+__all__ = ["Camera", "CameraError", "FrameSource", "frame_source", "frames_of", "load_calibration", "wanted_of"]
+
+log = logging.getLogger(__name__)
 
 FrameSource = Callable[[], Generator[Frame]]
 """Opens a source when first asked for a frame; ends with a recording, by CameraError where a camera fails."""
@@ -40,14 +44,19 @@ END_OF_RECORDING = "end of recording"
 _RATE_WINDOW = 30  # frames over which the rate is measured: 2 s at 15 frames/s
 
 
-def frame_source(config: CameraConfig) -> FrameSource:
-    """What `camera.source` names: a device, a stream, a video file or a folder."""
+def frame_source(config: CameraConfig, tell: Callable[[Stream], None]) -> FrameSource:
+    """What `camera.source` names: a device, a stream, a video file or a folder; a device tells what it settled on."""
     source = config.source
     if source.startswith("http://"):
         return partial(http_frames, source)
     if source.startswith("/dev/"):
-        return partial(v4l2_frames, source, config.width, config.height, config.fps)
+        return partial(v4l2_frames, source, wanted_of(config), tell)
     return partial(paced, Path(source), config.fps)
+
+
+def wanted_of(config: CameraConfig) -> Wanted:
+    """What a V4L2 camera is asked for."""
+    return Wanted(config.width, config.height, config.fps, config.exposure, config.white_balance)
 
 
 def load_calibration(path: Path, fov: float = math.radians(190.0)) -> CameraModel:
@@ -78,7 +87,8 @@ class Camera:
     def __init__(self, config: CameraConfig, frames: FrameSource | None = None) -> None:
         self.source = config.source
         self.reason = "not started"  # why there is no picture; empty while there is one
-        self._frames = frames or frame_source(config)
+        self.stream: Stream | None = None  # what a V4L2 camera settled on when it was last opened
+        self._frames = frames or frame_source(config, self._settled)
         self._latest: Frame | None = None
         self._arrival = asyncio.Event()  # set, and replaced, with each frame
         self._reader: _Reader | None = None
@@ -162,6 +172,14 @@ class Camera:
                 deadline = reader.newest.stamp + FRESH
                 self._publish(reader.newest)
         return reader.outcome.result()
+
+    def _settled(self, stream: Stream) -> None:
+        """Called by a reader's thread, once an opening."""
+        if stream != self.stream:
+            log.info("camera %s: %s", stream.card, stream.mode)
+            for warning in stream.warnings:
+                log.warning("%s", warning)
+        self.stream = stream
 
     def _publish(self, frame: Frame) -> None:
         self._latest, self.reason = frame, ""

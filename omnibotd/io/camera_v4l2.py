@@ -1,82 +1,88 @@
-"""Frames of a camera on this machine: V4L2 through OpenCV, with JPEGs passed on as the camera made them."""
+"""Frames of a camera on this machine, by V4L2: JPEGs passed on as the camera made them, of others the brightness."""
 
 from __future__ import annotations
 
-import os
+import errno
 import time
-from collections.abc import Generator
-from typing import Any
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
 
-import cv2
 import numpy as np
 
 from omnibotd.core.vision.frame import Frame, Image
 from omnibotd.io.camera_errors import CameraError
+from omnibotd.io.camera_v4l2_device import Device, Layout
+from omnibotd.io.camera_v4l2_lock import lock_exposure, lock_white_balance
+from omnibotd.io.camera_v4l2_modes import Stream, Wanted, best, differences
 
-# Seconds OpenCV waits for a frame before `grab` fails; its own 10 s only keep a lost camera busy. Read at the
-# first capture.
-_SELECT_TIMEOUT = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "2")
-# One buffer being filled while the other is read. With a single one, the camera has nowhere to put the frame
-# that starts meanwhile, and the rate is halved; more would only hold older frames.
-_BUFFERS = 2
+# s to the first frame, and between two: the camera is given up about when whoever waits for frames gives up, too,
+# so that it is free again when it is opened anew.
+FIRST_FRAME, NEXT_FRAME = 5.0, 1.0
+# A driver's stamp further from now than this is no time of arrival: some cameras' own clocks run wild.
+PLAUSIBLE = 1.0  # s
 
-_MJPG = cv2.VideoWriter.fourcc(*"MJPG")
-_YUYV = cv2.VideoWriter.fourcc(*"YUYV")
-_GREY = cv2.VideoWriter.fourcc(*"GREY")
+# Bytes from pixel to pixel and the first one's offset where brightness is not a plane of its own.
+_INTERLEAVED = {"YUYV": (2, 0), "UYVY": (2, 1)}
+
+_REASONS = {
+    errno.ENOENT: "no such device; is the camera plugged in?",
+    errno.ENXIO: "no such device; is the camera plugged in?",
+    errno.EACCES: "not permitted; this user must be in the group `video`",
+    errno.EPERM: "not permitted; this user must be in the group `video`, and the service allowed to use the device",
+    errno.EBUSY: "another program is using it",
+    errno.ENODEV: "the camera was unplugged",
+    errno.ENOSPC: "the USB bus has no room for this stream; unplug other devices or ask for a smaller picture",
+}
 
 
-def v4l2_frames(path: str, width: int, height: int, fps: float) -> Generator[Frame]:
-    """Frames of the device `path`, JPEG bytes if it can, else grey or BGR pixels; ends by CameraError only."""
-    _check(path)
-    os.environ.setdefault(*_SELECT_TIMEOUT)
-    # A name such as /dev/v4l/by-id/... is a link, which after a replug leads elsewhere.
-    capture = cv2.VideoCapture(os.path.realpath(path), cv2.CAP_V4L2)
+def v4l2_frames(path: str, wanted: Wanted, tell: Callable[[Stream], None]) -> Generator[Frame]:
+    """Frames of the device `path`, JPEG bytes if it can, else grey; `tell` what was settled on. Ends by CameraError."""
     try:
-        if not capture.isOpened():
-            raise CameraError(f"{path}: can't be opened; another program may be using it, or it is no camera")
-        fourcc = _negotiate(capture, width, height, fps)
-        while capture.grab():
-            stamp = time.monotonic()
-            good, raw = capture.retrieve()
-            if good:
-                yield Frame(stamp, _picture(np.asarray(raw), fourcc, capture))
-        raise CameraError(f"{path}: the camera gives no more frames; it may have been unplugged")
-    finally:
-        capture.release()
+        with closing(Device(path)) as device:
+            layout = _settle(device, path, wanted, tell)
+            yield from _frames(device, layout)
+    except OSError as error:
+        raise CameraError(f"{path}: {_REASONS.get(error.errno or 0) or error.strerror or error}") from error
+    raise CameraError(f"{path}: the camera gives no more frames")
 
 
-def _check(path: str) -> None:
-    if not os.path.exists(path):
-        raise CameraError(f"{path}: no such device; is the camera plugged in?")
-    if not os.access(path, os.R_OK | os.W_OK):
-        raise CameraError(f"{path}: not permitted; this user must be in the group `video`")
+def _settle(device: Device, path: str, wanted: Wanted, tell: Callable[[Stream], None]) -> Layout:
+    """Choose, start, lock: some cameras forget what they were told before their stream began."""
+    mode = best(device.modes(wanted), wanted)
+    if mode is None:
+        raise CameraError(
+            f"{path}: {device.card} offers {', '.join(device.formats()) or 'no format'}, none we can read"
+        )
+    layout, mode = device.use(mode)
+    device.start()
+    exposure, too_long = lock_exposure(device, wanted.exposure)
+    white_balance, too_far = lock_white_balance(device, wanted.white_balance)
+    warnings = (*differences(mode, wanted), too_long, too_far)
+    tell(Stream(device.card, mode, exposure, white_balance, tuple(filter(None, warnings))))
+    return layout
 
 
-def _negotiate(capture: Any, width: int, height: int, fps: float) -> int:
-    """Ask for MJPG of the given size, undecoded; the format the camera settled on."""
-    capture.set(cv2.CAP_PROP_FOURCC, _MJPG)
-    capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
-    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
-    capture.set(cv2.CAP_PROP_FPS, fps)
-    capture.set(cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
-    fourcc = int(capture.get(cv2.CAP_PROP_FOURCC))
-    # Other formats than these three OpenCV turns to BGR.
-    capture.set(cv2.CAP_PROP_CONVERT_RGB, 0 if fourcc in (_MJPG, _YUYV, _GREY) else 1)
-    return fourcc
+def _frames(device: Device, layout: Layout) -> Iterator[Frame]:
+    """Until the camera falls silent."""
+    timeout, last = FIRST_FRAME, 0.0
+    while (shot := device.newest(timeout)) is not None:
+        last = _stamp(shot.stamp, time.monotonic(), last)
+        yield Frame(last, b"" if shot.damaged else _picture(shot.data, layout))
+        timeout = NEXT_FRAME
 
 
-def _picture(raw: np.ndarray[Any, Any], fourcc: int, capture: Any) -> bytes | Image:
-    """The frame in `raw`, whose shape differs between releases of OpenCV but whose bytes do not.
+def _stamp(told: float | None, now: float, last: float) -> float:
+    """The driver's where that can be true: in the recent past and after the last; else the moment of arrival."""
+    return told if told is not None and max(last, now - PLAUSIBLE) < told <= now else now
 
-    An MJPG frame comes as (1, N) or (N, 1) bytes, in some releases with the rest of the buffer behind the
-    picture; YUYV as (H, W, 2), flat in 4.11. A frame too short for its size is passed as bytes, which are
-    refused as no JPEG.
-    """
-    if fourcc == _MJPG:
-        return raw.tobytes()
-    width, height = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-    depth = {_YUYV: 2, _GREY: 1}.get(fourcc, 3)
-    if raw.size < width * height * depth:
-        return raw.tobytes()
-    pixels = raw.reshape(-1)[: width * height * depth].reshape(height, width, depth)
-    return np.array(pixels if depth == 3 else pixels[..., 0], np.uint8)
+
+def _picture(data: bytes, layout: Layout) -> bytes | Image:
+    """A JPEG as it is, else grey pixels (height, width). A buffer too short is passed on, to be refused as no JPEG."""
+    if layout.fourcc in ("MJPG", "JPEG"):
+        return data
+    step, offset = _INTERLEAVED.get(layout.fourcc, (1, 0))
+    stride = max(layout.stride, step * layout.width)
+    if len(data) < stride * layout.height:
+        return data
+    lines = np.frombuffer(data, np.uint8, stride * layout.height).reshape(layout.height, stride)
+    return np.array(lines[:, offset : step * layout.width : step])

@@ -20,6 +20,7 @@ from omnibotd.lens_fitting import LensFitter, fit_in_child
 from omnibotd.requests.calibrating import Calibrating
 from omnibotd.requests.dock_views import DockViews
 from omnibotd.requests.docking import Docking
+from omnibotd.requests.doctor import Doctor
 from omnibotd.requests.driving import Driving
 from omnibotd.requests.failures import Failures
 from omnibotd.requests.jobs import Jobs
@@ -53,6 +54,7 @@ class Requests:
         docking = Docking(robot, runner)
         groups = (
             Status(robot, self.teaching, failures),
+            Doctor(robot),
             Driving(robot, self.teaching),
             self.teaching,
             Maps(robot, self.teaching, self.trail, pruner),

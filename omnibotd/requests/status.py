@@ -10,6 +10,7 @@ from typing import Any
 from omnibotd import __version__
 from omnibotd.control import PERIOD, Feedback
 from omnibotd.core.geometry import Pose2D
+from omnibotd.io.camera_v4l2_modes import Stream
 from omnibotd.io.control_server import Session
 from omnibotd.requests.failures import Failures
 from omnibotd.requests.params import Params, pose_values
@@ -81,6 +82,7 @@ class Status:
             "width": size[0],
             "height": size[1],
             "reason": self._robot.camera.reason or self._robot.perception.reason,
+            "stream": _stream_values(self._robot.camera.stream),
         }
 
     def _loop_status(self) -> dict[str, Any]:
@@ -90,6 +92,7 @@ class Status:
             "late_ms_p99": round(late[int(0.99 * (len(late) - 1))] * 1e3, 2),
             "late_ms_max": round(late[-1] * 1e3, 2),
             "ticks": self._robot.control.ticks,
+            "late_ticks": self._robot.control.late_ticks,
         }
 
     def _named_place(self, here: Pose2D | None) -> str | None:
@@ -100,6 +103,20 @@ class Status:
         docks = {name: dock.map_from_dock for name, dock in topo_map.docks.items()}
         name, pose = min({**docks, **topo_map.places}.items(), key=lambda item: item[1].distance(here))
         return name if pose.distance(here) < 0.5 else None
+
+
+def _stream_values(stream: Stream | None) -> dict[str, Any] | None:
+    """What a V4L2 camera settled on; exposure and white balance are null where the camera chooses them."""
+    if stream is None:
+        return None
+    return {
+        "card": stream.card,
+        "format": stream.mode.fourcc,
+        "fps": round(stream.mode.fps, 2),
+        "exposure_s": stream.exposure,
+        "white_balance_k": stream.white_balance,
+        "warnings": list(stream.warnings),
+    }
 
 
 def _resident_mb() -> float:

@@ -19,7 +19,7 @@ TINY = Sizes(nodes=120, frames=8, rounds=1, grown=(60, 120, 240), per_room=120, 
 
 @pytest.fixture(scope="module")
 def result() -> dict:
-    return run(TINY, ("cycle", "scale", "som"))
+    return run(TINY, ("cycle", "scale", "som", "decoding"))
 
 
 def test_every_contestant_has_times(result: dict) -> None:
@@ -50,6 +50,14 @@ def test_trainers_are_compared_on_the_same_data(result: dict) -> None:
     assert trainers["ours"]["of_ours"] == 1.0
     assert len(trainers) >= 4
     assert all(0.0 <= row["topographic_error"] <= 1.0 for row in trainers.values())
+
+
+def test_decoding_smaller_costs_places_nothing(result: dict) -> None:
+    places = result["decoding"]["places"]
+    assert places["reduced"]["median_mm"] < places["whole"]["median_mm"] + 5.0
+    assert result["decoding"]["docking"]["whole"]["found"] == TINY.frames
+    times = [row["minimum_ms"] for row in result["decoding"]["decoding"].values()]
+    assert times == sorted(times, reverse=True)
 
 
 def test_text_names_everything(result: dict) -> None:

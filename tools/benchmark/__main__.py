@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 
 from omnibotd import __version__
-from tools.benchmark import cycle, docking, rooms, scale, som_training
+from tools.benchmark import cycle, decoding, docking, quota, rooms, scale, slow_pc, som_training
 from tools.benchmark.report import as_text
 
-PARTS = ("cycle", "scale", "som", "docking")
+PARTS = ("cycle", "scale", "som", "docking", "decoding")
 EPILOG = """\
 Maps are made of rendered rooms of a tuning seed; those of more than 4000 nodes are as many rooms side by side, at the
 thesis' density of 250 nodes a square metre (100,000 nodes: 25 rooms).
@@ -64,21 +64,32 @@ def run(sizes: Sizes, parts: Sequence[str]) -> dict[str, Any]:
         result["som"] = som_training.measure(sizes.samples, sizes.epochs)
     if "docking" in parts:
         result["docking"] = docking.measure(sizes.frames, sizes.rounds)
+    if "decoding" in parts:
+        result["decoding"] = decoding.measure(sizes.nodes, sizes.frames)
     return result
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prints tables."""
     options = _parse(arguments)
-    result = run(QUICK if options.quick else FULL, options.only)
+    cv2.setNumThreads(1)
+    try:
+        result = _on_a_slow_pc(options) if options.quota else run(QUICK if options.quick else FULL, options.only)
+    except quota.QuotaError as error:
+        print(f"tools/bench: {error}", file=sys.stderr)
+        return 1
     print(as_text(result))
     if options.json:
         options.json.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
-    if options.plot:
+    if options.plot and not options.quota:
         from tools.benchmark.plots import draw  # noqa: PLC0415 - matplotlib takes a second to load
 
         draw(result, options.plot)
     return 0
+
+
+def _on_a_slow_pc(options: argparse.Namespace) -> dict[str, Any]:
+    return {"meta": _described(), "quota": slow_pc.measure(options.minutes, options.keep)}
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -89,6 +100,11 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--quick", action="store_true", help="small sizes, for seeing that it works: seconds, not minutes"
     )
     parser.add_argument("--only", type=_parts, default=PARTS, metavar="PART,...", help=f"of {', '.join(PARTS)}")
+    parser.add_argument(
+        "--quota", action="store_true", help="the daemon in a processor quota of the Atom N270 class; root"
+    )
+    parser.add_argument("--minutes", type=float, default=4.0, metavar="M", help="with --quota: of driving and docking")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="with --quota: the map, made once")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all figures")
     parser.add_argument("--plot", type=Path, metavar="PNG", help="picture of the results")
     return parser.parse_args(arguments)

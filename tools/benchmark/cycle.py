@@ -60,6 +60,7 @@ STAGES: Mapping[str, tuple[str, ...]] = {
 DECODING, ORB, AKAZE = "grey decoding, full size", "ORB, 1000 features", "AKAZE"
 DEFAULT, THESIS, LITERAL = "default preset", "thesis preset, one search a goal", "thesis, literal: one search a cycle"
 
+WHOLE = "in all"
 TRACED = {DEFAULT: STAGES, LITERAL: literal.STAGES}
 
 
@@ -111,13 +112,19 @@ class LiteralCycle(Cycle):
     def __init__(self, topo_map: TopoMap) -> None:
         self._links = Links.of(topo_map)
         # The links in rows would be kept from cycle to cycle, so only the search itself is done again.
-        self._rows = route._adjacency(self._links, len(topo_map))
+        self._rows: Any = None
+        self._put_in_rows = route._adjacency
         super().__init__(topo_map)
 
     def step(self, frame: Frame, odom_from_base: Pose2D) -> Twist2D:
-        with mock.patch.object(route, "_adjacency", lambda links, nodes: self._rows):
+        with mock.patch.object(route, "_adjacency", self._kept_rows):
             route.Route(self._links, len(self._map), 0)
         return super().step(frame, odom_from_base)
+
+    def _kept_rows(self, *links: Any) -> Any:
+        if self._rows is None:
+            self._rows = self._put_in_rows(*links)
+        return self._rows
 
 
 def measure(nodes: int, frames: int, rounds: int, perceptions: int) -> dict[str, Any]:
@@ -142,6 +149,16 @@ def measure(nodes: int, frames: int, rounds: int, perceptions: int) -> dict[str,
                 _drive(cycles[name], footage, lambda step, name=name: stages[name].note(tracer.of(step)))
     sizes = {"nodes": nodes, "links": len(topo_map.edges), "thesis_links": len(literal_map.edges)}
     return _summary(times, stages) | sizes | {"jpeg_bytes": _size(footage.frames)}
+
+
+def staged(nodes: int, frames: int) -> dict[str, float]:
+    """Median ms of each stage of the default cycle, and of a whole one."""
+    cycle, footage, whole, stages = Cycle(rooms.large_map(nodes)), Footage.of(frames), Times(), Times()
+    settle()
+    _drive(cycle, footage, lambda step: whole.measure(WHOLE, step))
+    with Tracer(STAGES) as tracer:
+        _drive(cycle, footage, lambda step: stages.note(tracer.of(step)))
+    return {name: row["median_ms"] for name, row in (stages.table() | whole.table()).items()}
 
 
 def _drive(cycle: Cycle, footage: Footage, counted: Callable[[Callable[[], Any]], Any]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from tools.benchmark.cycle import DECODING, DEFAULT, LITERAL, ORB
 from tools.benchmark.docking import FULL_FIX, MOST_FIX, MOST_TRACKING, TRACKING
 from tools.benchmark.scale import BRUTE_FORCE, BUCKETS, CYCLE
+from tools.benchmark.slow_pc_report import slow_pc_lines
 
 Result = Mapping[str, Any]
 _NAME = 58
@@ -15,7 +16,14 @@ _NAME = 58
 
 def as_text(result: Result) -> str:
     """Tables of what was measured."""
-    parts = {"cycle": _cycle, "scale": _scale, "som": _som, "docking": _docking}
+    parts = {
+        "cycle": _cycle,
+        "scale": _scale,
+        "som": _som,
+        "docking": _docking,
+        "decoding": _decoding,
+        "quota": slow_pc_lines,
+    }
     return "\n".join(line for name, lines in parts.items() if name in result for line in lines(result[name]))
 
 
@@ -76,6 +84,16 @@ def _docking(result: Result) -> Iterator[str]:
     for name, most in ((TRACKING, MOST_TRACKING), (FULL_FIX, MOST_FIX)):
         times = rows[name]["of_decoding"]
         yield f"{name}: at most {most:.0f} x {DECODING}: {_word(times <= most)} ({times:.1f})"
+
+
+def _decoding(result: Result) -> Iterator[str]:
+    times = ", ".join(f"{size} {row['median_ms']:.3f} ms" for size, row in result["decoding"].items())
+    yield f"\nDecoding a JPEG to grey, by size: {times}"
+    yield f"{'errors, mm':{_NAME}}{'median':>9}{'95 %':>9}"
+    shares = {"reduced": f"1/{result['reduction']}", "half": "1/2", "whole": "whole"}
+    for what in ("places", "docking"):
+        for name, row in result[what].items():
+            yield f"{what + ', decoded ' + shares[name]:{_NAME}}{row['median_mm']:9.2f}{row['p95_mm']:9.2f}"
 
 
 def _word(good: bool) -> str:

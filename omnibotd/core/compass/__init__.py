@@ -1,0 +1,1 @@
+"""How far the robot has turned, and moved, by sight (thesis, chapter 4, and beyond it)."""

@@ -1,0 +1,90 @@
+"""How near what a key view shows is: the ceiling where it must be, walls where they turn out to be.
+
+Nearness is the inverse of the distance along a ray; the unit of length is the height of the ceiling above the camera,
+so that the ceiling's plane has nearness z in a ray of height z. What is nearer moves more when the robot drives, and
+how much more is learnt cell by cell.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omnibotd.core.compass.contrast import Contrast
+from omnibotd.core.compass.key_points import KeyPoints, cell_names
+from omnibotd.core.geometry import Pose2D
+from omnibotd.core.vision.frame import FloatImage
+
+Floats = NDArray[np.float64]
+
+# Overhead: within 5 % or so of the plane. From 40 to 55 degrees off the zenith walls begin, 1.3 heights off, more or
+# less.
+_PLANE, _WALL = 0.05, 0.6
+_WALLS_FROM, _WALLS_ALL = math.radians(40.0), math.radians(55.0)
+_TYPICAL_WALL = 0.75
+# A cell seen from a new place holds other points, too: what was known of it counts half.
+_HANDED_ON = 2.0
+# Frames compared with one key view share its noise: each counts as a fifth of a new one.
+_NEW = 0.2
+
+
+@dataclass(slots=True, eq=False)
+class Nearness:
+    """Of each cell of a key view: by how much nearer than the ceiling's plane, and the variance of that."""
+
+    excess: Floats
+    variance: Floats
+
+    @classmethod
+    def guessed(cls, points: KeyPoints) -> Nearness:
+        """Before anything moved."""
+        count = np.bincount(points.cell)
+        zenith = np.arccos(np.bincount(points.cell, points.z) / count)
+        wall = np.clip((zenith - _WALLS_FROM) / (_WALLS_ALL - _WALLS_FROM), 0.0, 1.0)
+        excess = wall * np.maximum(0.0, _TYPICAL_WALL * np.sin(zenith) - np.cos(zenith))
+        return cls(excess, (_PLANE + wall * _WALL) ** 2)
+
+    def at(self, points: KeyPoints) -> FloatImage:
+        """(N,) of each point."""
+        return np.asarray(points.z + self.excess[points.cell], np.float32)
+
+    def learn(self, correction: Floats, information: Floats) -> None:
+        """Take in what one frame says of each cell's excess: how much to add, and how surely."""
+        information = _NEW * information
+        share = information / (information + 1.0 / self.variance)
+        self.excess += share * correction
+        self.variance *= 1.0 - share
+
+    def inherit(
+        self, points: KeyPoints, older: Nearness, its: KeyPoints, older_from_this: Pose2D, contrast: Contrast
+    ) -> None:
+        """Take over what another key view has learnt of the same things, seen from where that one stands."""
+        near, (x, y, z) = older.at(its), seen_from(older_from_this, its, older.at(its))
+        away = np.sqrt(x * x + y * y + z * z)  # in units of the distance it had
+        across = np.maximum(np.hypot(x, y), 1e-9)
+        radius = contrast.focal * np.arctan2(across, z)
+        names = cell_names(radius * x / across, radius * y / across, contrast)
+        place = np.minimum(np.searchsorted(points.names, names), len(points.names) - 1)
+        same = points.names[place] == names
+        excess = ((near - z) / away)[same]
+        self._take(place[same], excess, 1.0 / (_HANDED_ON * older.variance[its.cell[same]]))
+
+    def _take(self, cells: NDArray[np.intp], excess: FloatImage, weight: Floats) -> None:
+        count, total = (np.bincount(cells, w, len(self.excess)) for w in (None, weight))
+        known = np.flatnonzero(count)
+        mean = np.bincount(cells, weight * excess, len(self.excess))[known] / total[known]
+        square = np.bincount(cells, weight * excess**2, len(self.excess))[known] / total[known]
+        # Where a cell holds near and far things, their spread is what it is unsure by.
+        variance = count[known] / total[known] + np.maximum(square - mean**2, 0.0)
+        self.excess[known] = mean
+        self.variance[known] = np.minimum(variance, self.variance[known])
+
+
+def seen_from(pose: Pose2D, points: KeyPoints, near: FloatImage) -> tuple[FloatImage, FloatImage, FloatImage]:
+    """Rays to the points' things from another place, in units of the distance they had."""
+    cos, sin = np.float32(math.cos(pose.yaw)), np.float32(math.sin(pose.yaw))
+    dx, dy = points.x - near * np.float32(pose.x), points.y - near * np.float32(pose.y)
+    return np.asarray(cos * dx + sin * dy, np.float32), np.asarray(cos * dy - sin * dx, np.float32), points.z
