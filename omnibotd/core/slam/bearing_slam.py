@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.slam.bearing import of_points, of_rays, ray_point, wrapped
 from omnibotd.core.slam.belief import Belief, Floats, gain
-from omnibotd.core.slam.consistency import Health, InnovationMonitor
+from omnibotd.core.slam.consistency import VAGUE, Health, InnovationMonitor, State
 from omnibotd.core.slam.motion import VelocityNoise, WheelNoise, WheelStep, constant_velocity, wheel_motion
 from omnibotd.core.slam.sighting import Bearing, Initialiser
 from omnibotd.core.slam.undelayed import settle
@@ -56,11 +57,18 @@ class Innovations:
 class BearingSlam:
     """The frame is the pose at the start. `noise` (rad) is one bearing's standard deviation.
 
-    Moves by wheels unless `moving` says that the vehicle's velocity is part of the state.
+    Moves by wheels unless `moving` says that the vehicle's velocity is part of the state. `plain` is the thesis' own
+    update, linearised once and believing every bearing.
     """
 
     def __init__(
-        self, initialiser: Initialiser, noise: float, start: Pose2D | None = None, moving: bool = False
+        self,
+        initialiser: Initialiser,
+        noise: float,
+        start: Pose2D | None = None,
+        *,
+        moving: bool = False,
+        plain: bool = False,
     ) -> None:
         at = start or Pose2D()
         vehicle = np.array([at.x, at.y, at.yaw] + [0.0, 0.0] * moving)
@@ -68,14 +76,19 @@ class BearingSlam:
         self.belief = Belief(vehicle, np.diag(variances))
         self._initialiser = initialiser
         self._variance = max(noise, _LEAST_NOISE) ** 2
+        self._gate, self._rounds = (np.inf, 1) if plain else (GATE, ROUNDS)
         self._monitor = InnovationMonitor()
         self._recent: dict[Hashable, deque[bool]] = {}
         self._rebuilt: Counter[Hashable] = Counter()
 
     @property
     def health(self) -> Health:
-        """Whether the pose can be believed, from the innovations alone."""
-        return self._monitor.health
+        """Whether the pose can be believed, from the innovations and from its own covariance."""
+        health = self._monitor.health
+        deviation = math.sqrt(np.trace(self.belief.covariance[:2, :2]))
+        if health.state is State.CONSISTENT and deviation > VAGUE:
+            return replace(health, state=State.VAGUE, reason=f"by its own account it may be {deviation:.1f} m off")
+        return health
 
     @property
     def pose(self) -> Pose2D:
@@ -132,7 +145,7 @@ class BearingSlam:
 
     def _correct(self, bearings: Sequence[Bearing]) -> None:
         new = self.innovations(bearings)
-        accepted = new.valid & (new.squares < GATE)
+        accepted = new.valid & (new.squares < self._gate)
         used = [bearing for bearing, good in zip(bearings, accepted, strict=True) if good]
         whitened = self._whitened(new, accepted)
         if used:
@@ -155,7 +168,7 @@ class BearingSlam:
         prior = self.belief.mean.copy()
         noise = np.full(len(bearings), self._variance)
         mean = prior
-        for _ in range(ROUNDS):
+        for _ in range(self._rounds):
             values, jacobian, _ = self._predicted(bearings, mean)
             innovation = values - jacobian @ (prior - mean)
             gains = gain(self.belief.covariance, jacobian, noise)

@@ -19,16 +19,19 @@ WINDOW, ENOUGH = 60, 20
 REFUSED_STRAINED, REFUSED_DIVERGED = 0.15, 0.33
 # A mean square innovation so many times the expected one is no tuning error any more.
 RATIO_DIVERGED = 3.0
+# m, standard deviation of the position: who may be so far off is lost in a room, however well innovations fit.
+VAGUE = 0.6
 
 
 class State(Enum):
-    """What innovations say of a filter.
+    """What is to be thought of a filter's pose.
 
-    `BLIND`: next to no bearing helps, the pose is dead reckoning; `STRAINED`: less sure than it says;
-    `DIVERGED`: do not use its pose.
+    `BLIND`: next to no bearing helps, the pose is dead reckoning; `VAGUE`: it says itself that it may be far off;
+    `STRAINED`: less sure than it says; `DIVERGED`: do not use its pose.
     """
 
     BLIND = "blind"
+    VAGUE = "vague"
     CONSISTENT = "consistent"
     STRAINED = "strained"
     DIVERGED = "diverged"
@@ -45,13 +48,18 @@ class Health:
 
 
 class InnovationMonitor:
-    """Keeps the last `WINDOW` bearings of mapped landmarks, refused ones too; a divergence once seen is remembered."""
+    """Keeps the last `WINDOW` bearings of mapped landmarks, refused ones too; a divergence once seen is remembered.
+
+    A strain that a whole window does not end is a divergence: real filters that went metres wrong fitted their wrong
+    map passably, and were never worse than strained.
+    """
 
     def __init__(self) -> None:
         self._squares: deque[float] = deque(maxlen=WINDOW)
         self._refused: deque[bool] = deque(maxlen=WINDOW)
         self._mapped: deque[bool] = deque(maxlen=WINDOW)
         self._diverged = ""
+        self._strained = 0  # bearings since the strain began
 
     def see(self, mapped: int, unmapped: int) -> None:
         """So many bearings of one view were of landmarks in the map, so many were not."""
@@ -61,9 +69,13 @@ class InnovationMonitor:
         """Whether each bearing was used, and independent squares (of variance 1) of the innovations that were."""
         self._squares.extend(map(float, squares))
         self._refused.extend(map(bool, ~accepted))
-        health = self._now()
-        if health.state is State.DIVERGED and not self._diverged:
-            self._diverged = health.reason
+        before, health = self._strained, self._now()
+        # A strain begins with the bearings that showed it: only those after them prolong it.
+        self._strained = 0 if health.state is not State.STRAINED else before + len(accepted) if before else 1
+        if health.state is State.DIVERGED:
+            self.fail(health.reason)
+        elif self._strained > WINDOW:
+            self.fail(f"strained for {self._strained} bearings: {health.reason}")
 
     def fail(self, reason: str) -> None:
         """Something else proved the filter wrong."""

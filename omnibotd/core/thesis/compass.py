@@ -64,21 +64,28 @@ def decode_colour(frame: Frame) -> Image:
 
 def opposing(image: Image, channel: int) -> NDArray[np.int16]:
     """Twice the opposing channel (Eqs 2.3-2.5), so that it stays whole: 2c - (a + b), from -510 to 510."""
-    weights = np.full((1, 3), -1.0, np.float32)
-    weights[0, channel] = 2.0
+    channels = cv2.split(image)
     # In signed numbers: bytes would wrap.
-    return np.asarray(cv2.transform(image.astype(np.int16), weights), np.int16)
+    apart = [cv2.subtract(channels[channel], other, dtype=cv2.CV_16S) for other in channels]
+    return np.asarray(cv2.add(cv2.add(apart[0], apart[1]), apart[2]), np.int16)
+
+
+def blobs(image: Image, channel: int, least: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Mean pixels (n, 2) and areas (n,) of the connected areas of this colour that have `least` pixels or more."""
+    mask = (opposing(image, channel) > 2.0 * THRESHOLD).astype(np.uint8)
+    _, _, stats, centres = cv2.connectedComponentsWithStats(mask)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    large = np.flatnonzero(areas >= least)
+    large = large[large > 0]  # 0 is all that isn't of this colour
+    return np.asarray(centres[large], np.float64), np.asarray(areas[large], np.int32)
 
 
 def largest_blob(image: Image, channel: int) -> tuple[float, float] | None:
     """Mean pixel (u, v) of the largest connected area of this colour, None where there is none."""
-    mask = (opposing(image, channel) > 2.0 * THRESHOLD).astype(np.uint8)
-    _, _, stats, centres = cv2.connectedComponentsWithStats(mask)
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    if not len(areas) or areas.max() < MIN_AREA:
+    centres, areas = blobs(image, channel, MIN_AREA)
+    if not len(areas):
         return None
-    blob = int(np.argmax(areas)) + 1
-    u, v = (float(value) for value in centres[blob])
+    u, v = (float(value) for value in centres[np.argmax(areas)])
     return u, v
 
 

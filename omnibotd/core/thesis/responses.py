@@ -51,14 +51,16 @@ class Buckets:
         row, column = np.divmod(np.arange(side * side), side)
         self._rings = np.maximum(_around(row, side), _around(column, side))
 
-    def near(self, unit: int) -> NDArray[np.intp]:
-        """Nodes of this unit, ascending; where it has none, of the nearest ring round it that has [assumed]."""
-        found = self._nodes[unit]
-        ring = 0
+    def near(self, unit: int, reach: int = 0) -> NDArray[np.intp]:
+        """Nodes of this unit and of `reach` rings round it, ascending; of more rings while there is none [assumed]."""
+        found = self._within(unit, reach)
         while not len(found):
-            ring += 1
-            found = np.concatenate([self._nodes[k] for k in np.flatnonzero(self._rings[unit] == ring)])
+            reach += 1
+            found = self._within(unit, reach)
         return np.sort(found)
+
+    def _within(self, unit: int, reach: int) -> NDArray[np.intp]:
+        return np.concatenate([self._nodes[k] for k in np.flatnonzero(self._rings[unit] <= reach)])
 
 
 def _around(index: NDArray[np.intp], side: int) -> NDArray[np.intp]:

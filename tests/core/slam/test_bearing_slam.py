@@ -17,8 +17,7 @@ from omnibotd.core.slam.motion import VelocityNoise, WheelNoise, WheelStep
 from omnibotd.core.slam.several import SeveralBearings
 from omnibotd.core.slam.sighting import Bearing, Frozen, Initialiser
 from omnibotd.core.slam.undelayed import InverseDepth
-from tools.reproduce.slam import RING
-from tools.reproduce.slam_simulation import drive, rolling, views
+from tools.reproduction.slam_simulation import RING, drive, rolling, views
 
 WHEELS = WheelNoise()
 EXACT = WheelNoise(1e-6, 1e-6, 1e-6, 1e-6)
@@ -140,3 +139,12 @@ def test_errors_are_as_large_as_the_filter_says(initialiser: Callable[[], Initia
     nees = [rolling(poses, RING, initialiser(), math.radians(1.0), WHEELS, seed).last_nees for seed in range(50)]
     low, high = chi_square_band(3, 50)
     assert low < np.mean(nees) / 3.0 < high
+
+
+def test_who_may_be_far_off_says_so() -> None:
+    """A minute of careless wheels between two looks at the map; innovations cannot tell, the covariance can."""
+    slam = driven(InverseDepth(), math.radians(0.5))
+    careless = WheelNoise(along=0.5, across=0.5)
+    slam.roll(WheelStep(Pose2D(0.1, 0.0, 0.0), 4.0, 0.0), careless)
+    assert slam.health.state is State.VAGUE
+    assert "m off" in slam.health.reason

@@ -57,3 +57,21 @@ def test_a_divergence_is_remembered_when_innovations_are_fine_again() -> None:
     monitor.add(np.ones(60), np.ones(60, dtype=bool))
     assert monitor.health.state is State.DIVERGED
     assert "contradict the map" in monitor.health.reason
+
+
+def test_a_strain_that_a_whole_window_does_not_end_is_a_divergence() -> None:
+    """One bearing in five refused: a fifth is more than sensors misread, and less than a broken map."""
+    monitor, accepted = InnovationMonitor(), np.arange(60) % 5 != 0
+    for expected in (State.STRAINED, State.DIVERGED):
+        monitor.see(60, 0)
+        monitor.add(np.full(48, 0.2), accepted)
+        assert monitor.health.state is expected
+    assert "strained for" in monitor.health.reason
+
+
+def test_a_strain_that_passes_leaves_nothing_behind() -> None:
+    monitor = InnovationMonitor()
+    for accepted in (np.arange(60) % 5 != 0, np.ones(60, bool), np.arange(60) % 5 != 0, np.ones(60, bool)):
+        monitor.see(60, 0)
+        monitor.add(np.full(int(accepted.sum()), 0.2), accepted)
+    assert monitor.health.state is State.CONSISTENT

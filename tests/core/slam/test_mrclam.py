@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tools.reproduce.mrclam import DATA, RecordingError, aligned_error, load
-from tools.reproduce.slam import recording
+from omnibotd.core.slam.sighting import Bearing
+from tools.reproduction.mrclam import DATA, Recording, RecordingError, aligned_error, load
+from tools.reproduction.slam import recording
 
 real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data/mrclam7 is absent")
 
@@ -25,6 +26,13 @@ def test_a_folder_without_recordings_is_refused_by_name(tmp_path: Path) -> None:
         load(tmp_path, 1)
 
 
+def test_thinned_keeps_every_so_manieth_bearing_whatever_view_it_is_in() -> None:
+    views = [[Bearing(i, 0.1 * i) for i in some] for some in ((0, 1, 2), (), (3, 4), (5, 6))]
+    made = Recording(np.arange(4.0), views, [], np.zeros((4, 3)), np.arange(4))
+    assert [[one.name for one in view] for view in made.thinned(3).views] == [[0], [], [3], [6]]
+    assert made.thinned(1).views == views
+
+
 @real
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", [1, 2, 3])
@@ -32,3 +40,13 @@ def test_errors_are_within_the_limits(robot: int) -> None:
     rows = recording(DATA, robot)
     assert {row["method"] for row in rows if row["limit"]} == {"undelayed inverse depth", "growing batch"}
     assert all(row["met"] for row in rows)
+
+
+@real
+@pytest.mark.slow
+@pytest.mark.parametrize("thin", [4, 8])
+def test_filters_that_went_wrong_say_so(thin: int) -> None:
+    """Robot 1 with few bearings: every filter here is more than 0.35 m off. Thinnings that nothing was tuned on."""
+    rows = [row for row in recording(DATA, 1, thin) if "says_wrong" in row]
+    assert all(row["says_wrong"] for row in rows if row["rmse"] > 0.35)
+    assert any(row["rmse"] > 0.35 for row in rows)

@@ -12,9 +12,8 @@ from omnibotd.core.geometry import Pose2D
 from omnibotd.core.slam.motion import WheelNoise, WheelStep
 from omnibotd.core.slam.sighting import Bearing
 from omnibotd.core.slam.smoother import Smoothed, smoothed
-from tools.reproduce.mrclam import aligned_error
-from tools.reproduce.slam import RING
-from tools.reproduce.slam_simulation import drive, views
+from tools.reproduction.mrclam import aligned_error
+from tools.reproduction.slam_simulation import RING, drive, views
 
 WHEELS = WheelNoise(0.05, 0.02, 0.1, 0.1)
 POSES = drive(2400)[::15]

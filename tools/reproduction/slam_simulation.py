@@ -24,6 +24,8 @@ NOISE_PER_FIELD = 0.0025  # standard deviation of a bearing, as a share of the f
 # [assumed] Not in the thesis: where the four known landmarks stand, ahead of the start and in the narrowest view.
 KNOWN = np.array([(1.0, 0.5), (1.0, -0.5), (1.6, 0.5), (1.6, -0.5)])
 KNOWN_DEVIATION = 1e-4
+# Landmarks all round, for tests of honesty.
+RING = np.array([(4.0 * math.cos(a), 0.5 + 4.5 * math.sin(a)) for a in np.arange(12) * math.tau / 12 + 0.1])
 VELOCITY_NOISE = VelocityNoise(0.05, 0.1)
 _FASTEST, _SHARPEST = 0.8, 1.5
 _DRIVE_SEED = 5
@@ -78,7 +80,7 @@ def coasting(
 ) -> Trial:
     """The thesis' filter: constant velocity, no odometry, the first `known` landmarks given."""
     rng = np.random.default_rng(seed)
-    slam = BearingSlam(initialiser, noise, Pose2D(*poses[0]), moving=True)
+    slam = BearingSlam(initialiser, noise, Pose2D(*poses[0]), moving=True, plain=True)
     _give(slam, landmarks[:known], range(known))
     errors = []
     for i, view in enumerate(views(poses, landmarks, field, noise, rng)):

@@ -5,8 +5,8 @@ Leung, Halpern, Barfoot, Liu 2011, "The UTIAS multi-robot cooperative localizati
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import count, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,12 @@ class Recording:
     steps: list[WheelStep]
     truth: Floats
     scored: NDArray[np.intp]
+
+    def thinned(self, keep: int) -> Recording:
+        """With every so-manieth bearing."""
+        counted = count()
+        kept = [[one for one in view if next(counted) % keep == 0] for view in self.views]
+        return replace(self, views=kept)
 
 
 class RecordingError(Exception):
