@@ -55,6 +55,7 @@ class VirtualRobot:
         wheel_error: float = 0.0,
         base: str = "omnibot",
         range_sensor: bool = False,
+        heading: str = "wheels",
     ) -> None:
         """Configuration and storage go to `directory`; wheels are by the share `wheel_error` larger than it says."""
         self.world = world
@@ -67,7 +68,7 @@ class VirtualRobot:
         self.seconds = 0.0  # lived
         self._truth: deque[tuple[float, Pose2D]] = deque(maxlen=TRUTH_LIMIT)
         self._ticks = [0, 0]
-        config = load(_write_config(world, self.plant, directory, preset, wheel_error, base))
+        config = load(_write_config(world, self.plant, directory, preset, wheel_error, base, heading))
         height, width = world.render(*self.plant.pose, 0.0).shape[:2]
         self.camera = MemoryCamera(self._photograph, (width, height))
         self.store = MapStore(config.storage.directory)
@@ -176,6 +177,7 @@ async def virtual_robot(
     directory: Path | None = None,
     base: str = "omnibot",
     range_sensor: bool = False,
+    heading: str = "wheels",
 ) -> AsyncIterator[VirtualRobot]:
     """A robot that lives, daemon and all, inside this block; it stands at `start`, default somewhere free.
 
@@ -193,6 +195,7 @@ async def virtual_robot(
             wheel_error=wheel_error,
             base=base,
             range_sensor=range_sensor,
+            heading=heading,
         )
         async with asyncio.TaskGroup() as group:
             tasks = [group.create_task(robot.live()), group.create_task(robot.daemon.run())]
@@ -246,7 +249,7 @@ async def _prune_in_place(name: str, nodes: int, store: MapStore) -> TopoMap:
 
 
 def _write_config(
-    world: World, plant: SimulatedRobot, directory: Path, preset: str, wheel_error: float, base: str
+    world: World, plant: SimulatedRobot, directory: Path, preset: str, wheel_error: float, base: str, heading: str
 ) -> Path:
     """A configuration file as a user would write it for this robot."""
     camera: dict[str, Any] = {"source": "http://simulated/", "fov_deg": float(world.fov_deg)}
@@ -263,7 +266,9 @@ def _write_config(
         "robot_radius": ROBOT_RADIUS,
     }
     navigation = {"preset": preset}
-    config = {"camera": camera, "base": wheels, "navigation": navigation, "storage": {"directory": STORAGE}}
+    odometry = {"heading": heading}
+    storage = {"directory": STORAGE}
+    config = {"camera": camera, "base": wheels, "odometry": odometry, "navigation": navigation, "storage": storage}
     path = directory / "omnibotd.yaml"
     path.write_text(yaml.safe_dump(config), "utf-8")
     return path

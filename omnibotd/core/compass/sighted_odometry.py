@@ -73,9 +73,13 @@ class WholePose:
 
     def __init__(self, camera: CameraModel, height: float, height_error: float) -> None:
         self._motion = EgoMotion(camera, height, height_error)
+        self._odom_from_first: Pose2D | None = None  # the robot may have driven before there was a picture
 
     def update(self, frame: Frame, by_wheels: Pose2D) -> Pose2D:
-        return self._motion.update(frame, by_wheels).pose
+        first_from_base = self._motion.update(frame, by_wheels).pose
+        if self._odom_from_first is None:
+            self._odom_from_first = by_wheels @ first_from_base.inverse()
+        return self._odom_from_first @ first_from_base
 
 
 class HeadingOnly:
@@ -84,12 +88,16 @@ class HeadingOnly:
     def __init__(self, compass: FrameCompass, spread: float | None = None) -> None:
         """With a `spread` (rad, one standard deviation of its turns) the compass is weighed against the wheels."""
         self._compass, self._spread = compass, spread
-        self._pose = Pose2D()
-        self._wheels: Pose2D | None = None
+        self._pose: Pose2D | None = None
+        self._wheels = Pose2D()
 
     def update(self, frame: Frame, by_wheels: Pose2D) -> Pose2D:
-        moved = Pose2D() if self._wheels is None else self._wheels.inverse() @ by_wheels
-        turn = self._weighed(self._compass.turn(frame), moved)
+        seen = self._compass.turn(frame)
+        if self._pose is None:
+            self._pose, self._wheels = by_wheels, by_wheels
+            return by_wheels
+        moved = self._wheels.inverse() @ by_wheels
+        turn = self._weighed(seen, moved)
         # Half of what the heading is put right by was there on the way already.
         way = Pose2D(0.0, 0.0, (turn - moved.yaw) / 2.0).transform(moved.x, moved.y)
         self._pose, self._wheels = self._pose @ Pose2D(*way, turn), by_wheels
