@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tools.reproduction import __main__ as launcher
-from tools.reproduction import page
+from tools.reproduction import page, running
 from tools.reproduction.item import Check, Compared, Item, NotPossible, Outcome
 from tools.reproduction.registry import GROUPS, ITEMS
 
@@ -44,6 +46,7 @@ def two(monkeypatch: pytest.MonkeyPatch) -> None:
         (launcher, "ITEMS", items),
         (launcher, "GROUPS", (items,)),
         (page, "ITEMS", items),
+        (running, "ITEMS", items),
     ):
         monkeypatch.setattr(module, name, value)
 
@@ -94,7 +97,8 @@ def test_what_can_not_be_run_here_is_told_and_counts_as_missed(
         raise NotPossible("its data are absent")
 
     items = (Item("table-1.1", "made up", ("it is made up",), run, _drawn),)
-    monkeypatch.setattr(launcher, "ITEMS", items)
+    for module in (launcher, running):
+        monkeypatch.setattr(module, "ITEMS", items)
     monkeypatch.setattr(launcher, "GROUPS", (items,))
     assert launcher.main(["--all", "--out", str(tmp_path)]) == 1
     assert "not possible: its data are absent" in capsys.readouterr().out
@@ -154,3 +158,11 @@ def test_all_run_quickly(group: tuple[Item, ...], tmp_path: Path) -> None:
         item.draw(outcome.data, figure)
         figure.savefig(tmp_path / "picture.png")
         assert np.all([check.wanted for check in outcome.checks])
+
+
+def test_groups_run_beside_each_other_as_users_start_them(tmp_path: Path) -> None:
+    """Started as a program, workers must find what they are told to run."""
+    command = [sys.executable, "-m", "tools.reproduction", "figure-5.4", "mirrors", "--quick", "--out", str(tmp_path)]
+    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    assert {path.name for path in tmp_path.glob("*.json")} == {"figure-5.4.json", "mirrors.json"}
