@@ -121,8 +121,8 @@ class Bench:
     def _strike(self, cut: str) -> bool:
         """Once the wheels turn; the robot's own process strikes, and so knows when that was."""
         pids = [] if cut == "unplug" else [self._daemon.pid]
-        if cut == "kill-all":
-            pids += descendants(self._daemon.pid)
+        if cut == "kill-all":  # the guard first, or it may still say stop
+            pids = [*descendants(self._daemon.pid), *pids]
         blow = {"signal": SIGNALS.get(cut, signal.SIGKILL), "pids": pids}
         return self._until(lambda: bool(self._robot.post("strike", blow)["struck"]))
 
