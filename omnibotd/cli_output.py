@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 # Confidence from which a pose steers the robot and may be saved (as the daemon decides), below which it says nothing.
-_SURE, _LOST = 0.6, 0.3
+_SURE, _LOST = 0.9, 0.5
 
 Values = Mapping[str, Any]
 

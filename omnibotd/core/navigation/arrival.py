@@ -16,7 +16,7 @@ from omnibotd.core.safety import Limits
 HOLD = 0.5  # s of standing before it counts: the filter has then settled on a standing robot's view
 # So many estimates of a standing robot must be surer than those that steer, and fit the filter (m); and how long (s) to
 # wait for them: at five frames a second the last one is due after 1 s.
-CONFIRMATIONS, ARRIVED_SURE, CONFIRMED_WITHIN, CONFIRM_TIME = 3, 0.8, 0.1, 5.0
+CONFIRMATIONS, ARRIVED_SURE, CONFIRMED_WITHIN, CONFIRM_TIME = 3, 0.95, 0.1, 5.0
 # rad; what a tick of the slowest turn and the motors' lag still add to a turn that is stopped.
 COASTING = 0.01
 HOMING = 0.1  # m from the goal; so little may be driven backwards, over floor the robot has just come from

@@ -8,7 +8,7 @@ from omnibotd.core.decision import Observation
 from omnibotd.core.geometry import Pose2D, wrap
 from omnibotd.core.percept import PlaceEstimate
 
-SURE = 0.6  # confidence from which a place estimate steers
+SURE = 0.9  # confidence from which a place estimate steers
 UNSURE_DISTANCE = 1.5  # m driven without a sure estimate before the robot stops and searches
 UNSURE_TIME = 4.0  # s the same, for a robot that stands or creeps
 # Two estimates agree when odometry between them explains the second to this much: m, rad, and a share of metres driven

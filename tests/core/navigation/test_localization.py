@@ -11,14 +11,13 @@ import pytest
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.mapping.training import train
+from omnibotd.core.navigation.certainty import SURE
 from omnibotd.core.navigation.localization import Localizer
 from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.frame import Frame
 from tests.teaching import CAMERA, DT, error, frame, waypoint_drive, waypoints
 from tools.sim import ceilings
 from tools.sim.world import World
-
-SURE = 0.6
 
 
 @dataclass

@@ -12,6 +12,8 @@ from omnibotd.core.decision import Decision, Observation
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D, Twist2D, wrap
 from omnibotd.core.mapping.topo_map import EdgeKind, Edges, TopoMap
+from omnibotd.core.navigation.arrival import ARRIVED_SURE
+from omnibotd.core.navigation.certainty import SURE
 from omnibotd.core.navigation.floor import DrivenFloor
 from omnibotd.core.navigation.goal_filter import GoalFilter
 from omnibotd.core.navigation.navigator import MAX_BUMPS, Navigator, NavigatorState, Tolerance
@@ -69,7 +71,7 @@ class IdealTrip:
         measured = Pose2D(self.pose.x + noise.x, self.pose.y + noise.y, self.pose.yaw + noise.yaw)
         place = PlaceEstimate(self.time, odom, measured, self.confidence(), 0.02, 0.9, 0.3, 0)
         self.goal_filter.predict(odom)
-        self.goal_filter.update(place, 0.6)
+        self.goal_filter.update(place, SURE)
         seen = self.change(Observation(self.time, odom, place))
         decision = self.navigator.step(seen)
         twist = self.gate.limit(decision.twist, seen, PERIOD)
@@ -158,7 +160,7 @@ def test_it_never_says_arrived_on_dead_reckoning() -> None:
 def test_sure_enough_to_drive_is_not_sure_enough_to_arrive() -> None:
     goal = Pose2D(1.6, 1.0, 0.0)
     trip = IdealTrip(OPEN, Pose2D(1.0, 1.0, 0.0), goal)
-    trip.confidence = lambda: 0.7
+    trip.confidence = lambda: (SURE + ARRIVED_SURE) / 2.0
     decision = trip.run(300.0)
     assert trip.pose.distance(goal) < 0.1
     assert decision.outcome is not None
@@ -188,7 +190,7 @@ def test_lost_on_the_way_it_goes_back_to_where_it_was_sure() -> None:
 def test_driven_out_by_hand_it_returns_to_the_map_before_it_searches() -> None:
     trip = IdealTrip(OPEN, Pose2D(3.0, 1.0, 0.0), Pose2D(1.0, 1.0, 0.0))
     trip.goal_filter.predict(Pose2D())
-    trip.goal_filter.update(PlaceEstimate(0.0, Pose2D(), trip.start, 0.99, 0.02, 0.9, 0.3, 0), 0.6)
+    trip.goal_filter.update(PlaceEstimate(0.0, Pose2D(), trip.start, 0.99, 0.02, 0.9, 0.3, 0), SURE)
     trip.pose = Pose2D(5.0, 1.3, 0.5)  # with odometry, but unseen
     trip.navigator = trip.new_navigator(OPEN, Pose2D(1.0, 1.0, 0.0))
     trip.confidence = lambda: 0.99 if trip.pose.x < 3.2 else 0.05
