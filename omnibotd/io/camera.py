@@ -150,10 +150,13 @@ class Camera:
         reader = _Reader(self._frames, partial(asyncio.get_running_loop().call_soon_threadsafe, news.set))
         self._bad_before, self._reader = self.bad_frames, reader
         try:
-            self.reason = await self._follow(reader, news)
+            reason = await self._follow(reader, news)
         finally:
             reader.abandon()
             self._hanging.append(reader.thread)
+        if not self.reason:
+            log.warning("camera lost: %s", reason)
+        self.reason = reason
         return reader.newest is not None
 
     async def _follow(self, reader: _Reader, news: asyncio.Event) -> str:
@@ -182,6 +185,8 @@ class Camera:
         self.stream = stream
 
     def _publish(self, frame: Frame) -> None:
+        if self.reason:
+            log.info("camera: pictures from %s", self.source)
         self._latest, self.reason = frame, ""
         self._arrival.set()
         self._arrival = asyncio.Event()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 from typing import Any, Protocol
@@ -11,6 +12,8 @@ from firmware_bridge.events import BaseInfo, BridgeError, Connected, Disconnecte
 from omnibotd.io.serial_link import Link, LinkLost, SerialLink, open_serial, resolve_port
 
 __all__ = ["Link", "LinkLost", "MotorBase", "SerialLink", "open_serial", "resolve_port"]
+
+log = logging.getLogger(__name__)
 
 POLL_PERIOD = 0.02  # seconds: what drivers ask for
 FIRST_BACKOFF = 0.2  # seconds; doubled at each failure, so that a base unplugged for hours costs nothing
@@ -199,6 +202,7 @@ class MotorBase:
             self._answered_at = _now()
             match event:
                 case Connected(info):
+                    log.info("base: %s %s, firmware %s", info.driver, info.board, info.firmware)
                     self._info = info
                     self._reason = ""
                     self._shaken = True
@@ -212,6 +216,8 @@ class MotorBase:
                     self._keep(event)
 
     def _disconnect(self, reason: str) -> None:
+        if self._info is not None:
+            log.warning("base lost: %s", reason)
         self._info = None
         self._latest = None
         if reason != self._reason:

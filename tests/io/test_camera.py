@@ -1,6 +1,7 @@
 """The camera on sources that block, break, lie and end; and its calibration file."""
 
 import asyncio
+import logging
 import threading
 import time
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ def injected(source) -> Camera:
     return Camera(CameraConfig(source="/dev/video0"), source)
 
 
-def test_a_source_that_blocks_for_ever_stops_neither_the_loop_nor_the_end_and_its_late_frame_is_ignored():
+def test_a_source_that_blocks_for_ever_stops_neither_the_loop_nor_the_end_and_its_late_frame_is_ignored(caplog):
     release = threading.Event()
     opened: list[int] = []
 
@@ -50,8 +51,11 @@ def test_a_source_that_blocks_for_ever_stops_neither_the_loop_nor_the_end_and_it
                 late.append(frame.data)
             return late.count(jpeg(120))
 
-    assert asyncio.run(scenario()) == 0
+    with caplog.at_level(logging.INFO, "omnibotd.io"):
+        assert asyncio.run(scenario()) == 0
     assert opened == [0, 1]
+    pictures = "camera: pictures from /dev/video0"
+    assert caplog.messages == [pictures, "camera lost: /dev/video0: no picture for 1 s", pictures]
 
 
 def test_shutdown_does_not_wait_for_a_reader_that_hangs():

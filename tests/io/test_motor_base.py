@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -115,7 +116,7 @@ def test_silence_and_restart_of_the_base() -> None:
         asyncio.run(main(emulated))
 
 
-def test_cable_pulled_and_put_back() -> None:
+def test_cable_pulled_and_put_back(caplog: pytest.LogCaptureFixture) -> None:
     async def main(first: Emulator, second: Emulator) -> None:
         port = [first.port]
         base = over_pty(lambda: port[0])
@@ -129,8 +130,11 @@ def test_cable_pulled_and_put_back() -> None:
             base.drive(TURN, TURN)
             await until(lambda: second.device.target == (1000, 1000))
 
-    with emulator() as first, emulator() as second:
+    with emulator() as first, emulator() as second, caplog.at_level(logging.INFO, "omnibotd.io"):
         asyncio.run(main(first, second))
+    told = [message.split(":")[0] for message in caplog.messages]
+    assert told == ["base", "base lost", "base", "base lost"]
+    assert caplog.messages[-1] == "base lost: stopped"
 
 
 def test_a_noisy_line() -> None:
