@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from typing import Protocol, cast
 
@@ -101,18 +102,22 @@ class Preset:
 
 def _from_staging_pose(trip: Callable[[Pose2D], Job], task: DockingTask) -> Job:
     """What has arrived at the staging pose knows where it is: the docker is told."""
-    docker = Docker(task.dock, task.parameters)
 
-    def staged(seen: Observation) -> None:
+    def docker(staged: Observation | None) -> Job:
+        made = Docker(task.dock, task.parameters)
         here = None if task.goal_filter is None else task.goal_filter.map_from_base
-        if here is not None:
-            docker.expect(task.map_from_dock.inverse() @ here @ seen.odom_from_base.inverse())
+        if staged is not None and here is not None:
+            made.expect(task.map_from_dock.inverse() @ here @ staged.odom_from_base.inverse())
+        return made
 
-    return DockingTrip(trip(staging_pose(task.map_from_dock)), docker, task.glance, staged)
+    trips = 1 + min(task.parameters.max_retries, 1)
+    return DockingTrip(partial(trip, staging_pose(task.map_from_dock)), docker, task.glance, trips)
 
 
 def _from_within_a_metre(trip: Callable[[Pose2D], Job], task: DockingTask) -> Job:
-    return DockingTrip(Vicinity(trip(task.map_from_dock)), ThesisDocker(task.dock, task.parameters), task.glance)
+    return DockingTrip(
+        lambda: Vicinity(trip(task.map_from_dock)), lambda staged: ThesisDocker(task.dock, task.parameters), task.glance
+    )
 
 
 PRESETS = {

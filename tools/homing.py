@@ -106,9 +106,10 @@ def _table(what: str, found: dict[str, dict[str, Any]]) -> str:
         "one estimate",
         "failed",
         "sure, wrong",
+        "NEES, in 95 %",
     )
     lines = [f"{what}: single estimates", _row(head)]
-    lines.append(_row(("thesis, its robot", "", THESIS["turn"], THESIS["distance"], THESIS["component"], "", "", "")))
+    lines.append(_row(("thesis, its robot", "", THESIS["turn"], THESIS["distance"], THESIS["component"])))
     lines += [_row((name, *_cells(part))) for name, part in found.items()]
     return "\n".join(lines)
 
@@ -126,11 +127,12 @@ def _cells(part: dict[str, Any]) -> tuple[str, ...]:
         f"{100 * one['median_m']:.2f} cm, {one['median_deg']:.2f}°",
         f"{one['failed']:.1%}",
         f"{one['sure_and_wrong']}",
+        "" if one["nees"] is None else f"{one['nees']['median']:.1f}, {one['nees']['within_95']:.0%}",
     )
 
 
 def _row(cells: Sequence[str]) -> str:
-    widths = (18, 14, 28, 14, 11, 18, 9, 12)
+    widths = (18, 14, 28, 14, 11, 18, 9, 13, 15)
     return "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=False))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
+from enum import Enum, auto
 from typing import Protocol
 
 from omnibotd.core.decision import Decision, Observation, Outcome
@@ -22,6 +23,9 @@ from omnibotd.core.safety import Limits
 _STAGING_FAILURES = {ErrorName.LOST, ErrorName.BLOCKED, ErrorName.NO_ROUTE, ErrorName.TIMEOUT}
 # How a look at the dock from where the robot stands may end without ending the trip.
 _NOT_THERE = {None, ErrorName.NOT_DOCKED, ErrorName.FAILED_TO_DETECT_DOCK}
+# Failures of docking after which another way there may well succeed.
+_OTHERWISE = {ErrorName.FAILED_TO_DETECT_DOCK, ErrorName.FAILED_TO_CONTROL, ErrorName.TIMEOUT}
+_ABOUT_TO_SEARCH = Outcome(ErrorName.LOST, "not recognised from here")
 # So near (m) the dock itself is what the range sensor sees ahead.
 _CONTACT_WITHIN = 0.3
 
@@ -33,70 +37,100 @@ class Job(Protocol):
         """What to do at this tick."""
 
 
+class _Part(Enum):
+    """Of a trip to a dock: how the decisions of its job are passed on."""
+
+    GLANCE = auto()
+    TRIP = auto()
+    SEARCH = auto()
+    DOCK = auto()
+
+
 class DockingTrip:
     """`goto` the staging pose, then dock (thesis §7.5: the two tiers as one whole).
 
     A robot that may stand in the dock already looks before it goes anywhere: turning round in a dock, or leaving it to
     come back, helps nobody. One that the map can't place may still stand within sight of the dock, beside the floor
-    that was driven: it looks for the dock from where it is before it would drive about in search, and before the trip
-    counts as failed.
+    that was driven: it looks for the dock from where it is before it drives about in search, and before the trip counts
+    as failed. A dock that was not recognised, or not as expected, is approached once more by a whole trip: on the way
+    the map finds out where the robot is.
     """
 
     def __init__(
         self,
-        navigator: Job,
-        docker: Job,
+        trip: Callable[[], Job],
+        dock: Callable[[Observation | None], Job],
         glance: Job | None = None,
-        staged: Callable[[Observation], None] = lambda seen: None,
+        trips: int = 1,
     ) -> None:
-        """`glance` ends without an error where the robot is in the dock, as DOCKED where it charges there; `staged`
-        hears when the staging pose is reached."""
-        self._glance = glance
-        self._navigator: Job | None = navigator
-        self._docker = docker
-        self._hear_staged = staged
-        self._unstaged: Outcome | None = None
+        """`trip` makes a job that drives to the staging pose, and is called in the control tick from the second of
+        `trips` on; `dock` one that docks, given what is seen where that pose was reached and nothing where it was not.
+        `glance` ends without an error where the robot is in the dock, as DOCKED where it charges there."""
+        self._first: Job | None = trip()
+        self._trip, self._dock, self._glance, self._trips = trip, dock, glance, trips
+        self._seen: Observation | None = None
+        self._course = self._run()
+        self._part, self._job = next(self._course)
 
     def step(self, seen: Observation) -> Decision:
-        if self._glance is not None:
-            return self._glanced(self._glance, seen)
-        if self._navigator is None:
-            return self._dock(seen)
-        decision = self._navigator.step(seen)
-        if decision.state == SearchState.SEARCHING and decision.outcome is None:
-            lost = Outcome(ErrorName.LOST, "not recognised from here")
-            decision = replace(decision, twist=STOP, outcome=lost)
-        return self._staged(replace(decision, state="NAV_TO_STAGING_POSE"), seen)
-
-    def _glanced(self, glance: Job, seen: Observation) -> Decision:
-        decision = glance.step(seen)
-        if decision.outcome is None or decision.outcome.error not in _NOT_THERE or decision.state == State.DOCKED:
+        """One tick."""
+        self._seen = seen
+        decision = self._shown(self._job.step(seen))
+        if decision.outcome is None:
             return decision
-        self._glance = None
-        if decision.outcome.error is None:
-            self._navigator = None
+        if self._part is _Part.GLANCE and decision.state == State.DOCKED:
+            return decision
+        try:
+            self._part, self._job = self._course.send(decision.outcome)
+        except StopIteration as end:
+            return replace(decision, outcome=end.value)
         return replace(decision, outcome=None)
 
-    def _staged(self, decision: Decision, seen: Observation) -> Decision:
-        outcome = decision.outcome
-        if outcome is None:
+    def _shown(self, decision: Decision) -> Decision:
+        if self._part is _Part.DOCK:
+            left = decision.distance_remaining
+            return replace(decision, contact_expected=left is not None and left < _CONTACT_WITHIN)
+        if self._part is _Part.GLANCE:
             return decision
-        if outcome.error in _STAGING_FAILURES:
-            message = f"did not reach the staging pose: {outcome.error}, {outcome.message}"
-            self._unstaged = Outcome(ErrorName.FAILED_TO_STAGE, message, outcome.report)
-        if outcome.error is None:
-            self._hear_staged(seen)
-        if outcome.error in (None, ErrorName.LOST):
-            self._navigator = None
-            return replace(decision, outcome=None)
-        return replace(decision, outcome=self._unstaged or outcome)
+        if self._part is _Part.TRIP and decision.state == SearchState.SEARCHING and decision.outcome is None:
+            decision = replace(decision, twist=STOP, outcome=_ABOUT_TO_SEARCH)
+        return replace(decision, state="NAV_TO_STAGING_POSE")
 
-    def _dock(self, seen: Observation) -> Decision:
-        decision = self._docker.step(seen)
-        left = decision.distance_remaining
-        decision = replace(decision, contact_expected=left is not None and left < _CONTACT_WITHIN)
-        unseen = decision.outcome is not None and decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
-        return replace(decision, outcome=self._unstaged) if unseen and self._unstaged else decision
+    def _run(self) -> Generator[tuple[_Part, Job], Outcome, Outcome]:
+        """Yields one job after the other and is sent their outcomes; returns how it all ended."""
+        if self._glance is not None:
+            glanced = yield _Part.GLANCE, self._glance
+            if glanced.error not in _NOT_THERE:
+                return glanced
+            if glanced.error is None:
+                docked = yield _Part.DOCK, self._dock(None)
+                if docked.error not in _OTHERWISE:
+                    return docked
+        for _ in range(self._trips - 1):
+            outcome = yield from self._whole()
+            if outcome.error not in _OTHERWISE:
+                return outcome
+        return (yield from self._whole())
+
+    def _whole(self) -> Generator[tuple[_Part, Job], Outcome, Outcome]:
+        """One trip to the staging pose, and a docking from there."""
+        navigator, self._first = self._first or self._trip(), None
+        staged = yield _Part.TRIP, navigator
+        if staged is _ABOUT_TO_SEARCH:
+            docked = yield _Part.DOCK, self._dock(None)
+            if docked.error not in _OTHERWISE:
+                return docked
+            staged = yield _Part.SEARCH, navigator
+        if staged.error is None:
+            return (yield _Part.DOCK, self._dock(self._seen))
+        if staged.error not in _STAGING_FAILURES:
+            return staged
+        message = f"did not reach the staging pose: {staged.error}, {staged.message}"
+        unstaged = Outcome(ErrorName.FAILED_TO_STAGE, message, staged.report)
+        if staged.error is not ErrorName.LOST:
+            return unstaged
+        docked = yield _Part.DOCK, self._dock(None)
+        return unstaged if docked.error is ErrorName.FAILED_TO_DETECT_DOCK else docked
 
 
 class Relocalisation:

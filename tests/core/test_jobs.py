@@ -37,7 +37,7 @@ class Scripted:
 
 def end_of(staging: Outcome, docking: Outcome) -> tuple[Outcome, Scripted]:
     navigator, docker = Scripted(staging), Scripted(docking)
-    trip = DockingTrip(navigator, docker)
+    trip = DockingTrip(lambda: navigator, lambda staged: docker)
     for _ in range(5):
         decision = trip.step(SEEN)
         if decision.outcome is not None:
@@ -74,20 +74,81 @@ def test_other_failures_of_staging_end_the_trip(error: ErrorName, told: ErrorNam
     assert docker.steps == []
 
 
-def test_instead_of_driving_about_in_search_it_looks_for_the_dock() -> None:
-    navigator = Scripted(failed(ErrorName.LOST), Decision("SEARCHING", Twist2D(0.1, 0.0)))
-    trip = DockingTrip(navigator, Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK)))
-    decisions = [trip.step(SEEN) for _ in range(3)]
+def ends(trip: DockingTrip) -> list[Decision]:
+    """All decisions up to the one with the outcome."""
+    decisions = [trip.step(SEEN)]
+    while decisions[-1].outcome is None:
+        assert len(decisions) < 30
+        decisions.append(trip.step(SEEN))
+    return decisions
+
+
+def test_before_it_drives_about_in_search_it_looks_for_the_dock() -> None:
+    navigator = Scripted(DONE, Decision("SEARCHING", Twist2D(0.1, 0.0)))
+    decisions = ends(DockingTrip(lambda: navigator, lambda staged: Scripted(DONE)))
     assert decisions[0].twist == STOP
     assert len(navigator.steps) == 1
-    assert decisions[-1].outcome is not None
-    assert decisions[-1].outcome.error is ErrorName.FAILED_TO_STAGE
+    assert decisions[-1].outcome == DONE
+
+
+def test_a_dock_that_is_not_seen_from_there_is_searched_for_by_the_map() -> None:
+    navigator = Scripted(DONE, Decision("SEARCHING", Twist2D(0.1, 0.0)))
+    dockers = [Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK)), Scripted(DONE)]
+    staged: list[Observation | None] = []
+
+    def dock(seen: Observation | None) -> Scripted:
+        staged.append(seen)
+        return dockers[len(staged) - 1]
+
+    assert ends(DockingTrip(lambda: navigator, dock))[-1].outcome == DONE
+    assert len(navigator.steps) == 2
+    assert staged == [None, SEEN]
+
+
+def test_a_search_in_vain_ends_in_failed_to_stage_and_says_why() -> None:
+    navigator = Scripted(failed(ErrorName.LOST), Decision("SEARCHING", Twist2D(0.1, 0.0)))
+    trip = DockingTrip(lambda: navigator, lambda staged: Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK)))
+    outcome = ends(trip)[-1].outcome
+    assert outcome is not None
+    assert (outcome.error, outcome.message) == (
+        ErrorName.FAILED_TO_STAGE,
+        "did not reach the staging pose: LOST, why",
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "trips"),
+    [
+        (ErrorName.FAILED_TO_DETECT_DOCK, 2),
+        (ErrorName.FAILED_TO_CONTROL, 2),
+        (ErrorName.TIMEOUT, 2),
+        (ErrorName.FAILED_TO_CHARGE, 1),
+        (ErrorName.EMERGENCY_STOP, 1),
+    ],
+)
+def test_a_dock_that_was_not_recognised_is_approached_once_more(error: ErrorName, trips: int) -> None:
+    navigators: list[Scripted] = []
+
+    def trip() -> Scripted:
+        navigators.append(Scripted(DONE))
+        return navigators[-1]
+
+    assert ends(DockingTrip(trip, lambda staged: Scripted(failed(error)), trips=2))[-1].outcome == failed(error)
+    assert len(navigators) == trips
+
+
+def test_a_robot_that_took_another_place_for_the_dock_drives_to_the_staging_pose_after_all() -> None:
+    navigator = Scripted(DONE)
+    dockers = iter([Scripted(failed(ErrorName.FAILED_TO_CONTROL)), Scripted(DONE)])
+    trip = DockingTrip(lambda: navigator, lambda staged: next(dockers), Scripted(DONE))
+    assert ends(trip)[-1].outcome == DONE
+    assert len(navigator.steps) == 2
 
 
 @pytest.mark.parametrize("error", [ErrorName.NOT_DOCKED, ErrorName.FAILED_TO_DETECT_DOCK])
 def test_a_robot_that_is_not_in_the_dock_goes_to_the_staging_pose_first(error: ErrorName) -> None:
-    navigator, docker, staged = Scripted(DONE), Scripted(DONE), []
-    trip = DockingTrip(navigator, docker, Scripted(failed(error)), staged.append)
+    navigator, docker, staged = Scripted(DONE), Scripted(DONE), list[Observation | None]()
+    trip = DockingTrip(lambda: navigator, lambda seen: staged.append(seen) or docker, Scripted(failed(error)))
     decisions = [trip.step(SEEN) for _ in range(6)]
     assert [len(job.steps) for job in (navigator, docker)] == [2, 2]
     assert staged == [SEEN]
@@ -95,37 +156,38 @@ def test_a_robot_that_is_not_in_the_dock_goes_to_the_staging_pose_first(error: E
 
 
 def test_a_robot_in_the_dock_goes_nowhere_first() -> None:
-    navigator, docker, staged = Scripted(DONE), Scripted(DONE), []
-    trip = DockingTrip(navigator, docker, Scripted(DONE), staged.append)
+    navigator, docker, staged = Scripted(DONE), Scripted(DONE), list[Observation | None]()
+    trip = DockingTrip(lambda: navigator, lambda seen: staged.append(seen) or docker, Scripted(DONE))
     decisions = [trip.step(SEEN) for _ in range(4)]
-    assert (len(navigator.steps), len(docker.steps), staged) == (0, 2, [])
+    assert (len(navigator.steps), len(docker.steps), staged) == (0, 2, [None])
     assert decisions[-1].outcome == DONE
 
 
 def test_a_robot_that_charges_in_the_dock_is_done() -> None:
     navigator, docker = Scripted(DONE), Scripted(DONE)
-    trip = DockingTrip(navigator, docker, Scripted(DONE, Decision("DOCKED")))
+    trip = DockingTrip(lambda: navigator, lambda staged: docker, Scripted(DONE, Decision("DOCKED")))
     assert [trip.step(SEEN).outcome for _ in range(2)] == [None, DONE]
     assert (len(navigator.steps), len(docker.steps)) == (0, 0)
 
 
 def test_danger_while_it_looks_ends_the_trip() -> None:
-    trip = DockingTrip(Scripted(DONE), Scripted(DONE), Scripted(failed(ErrorName.EMERGENCY_STOP)))
+    glance = Scripted(failed(ErrorName.EMERGENCY_STOP))
+    trip = DockingTrip(lambda: Scripted(DONE), lambda staged: Scripted(DONE), glance)
     assert [trip.step(SEEN).outcome for _ in range(2)] == [None, failed(ErrorName.EMERGENCY_STOP)]
 
 
 def test_a_trip_that_lost_its_way_is_not_staged() -> None:
-    staged: list[Observation] = []
-    trip = DockingTrip(Scripted(failed(ErrorName.LOST)), Scripted(DONE), None, staged.append)
-    for _ in range(4):
-        trip.step(SEEN)
-    assert staged == []
+    staged: list[Observation | None] = []
+    trip = DockingTrip(lambda: Scripted(failed(ErrorName.LOST)), lambda seen: staged.append(seen) or Scripted(DONE))
+    ends(trip)
+    assert staged == [None]
 
 
 @pytest.mark.parametrize(("left", "expected"), [(None, False), (0.5, False), (0.2, True), (0.0, True)])
 def test_only_near_the_dock_contact_is_expected(left: float | None, expected: bool) -> None:
     docker = Scripted(DONE, Decision("CONTROLLING", distance_remaining=left))
-    trip = DockingTrip(Scripted(DONE, Decision("FOLLOWING", distance_remaining=0.1)), docker)
+    navigator = Scripted(DONE, Decision("FOLLOWING", distance_remaining=0.1))
+    trip = DockingTrip(lambda: navigator, lambda staged: docker)
     assert [trip.step(SEEN).contact_expected for _ in range(3)] == [False, False, expected]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -198,6 +199,23 @@ def test_errors_by_hand() -> None:
     assert math.isnan(errors.component[3])
     assert (errors.refused, errors.refused_near) == (2, 1)
     assert errors.wrong.tolist() == [False, False, True, True]
+
+
+def test_an_honest_covariance_is_told_from_a_boastful_one() -> None:
+    rng, truth = np.random.default_rng(3), Pose2D(-0.5, 0.1, 0.2)
+    sigma = np.array([0.002, 0.003, 0.001])
+
+    def nees(claimed: float) -> dict[str, float]:
+        answers = []
+        for x, y, yaw in rng.normal(0.0, sigma, (200, 3)):
+            said = Pose2D(truth.x + x, truth.y + y, truth.yaw + yaw)
+            answer = _answer(truth, said)
+            answers.append(replace(answer, said=replace(answer.said, covariance=np.diag((claimed * sigma) ** 2))))
+        return summary(Errors.of(answers, metric=True))["estimate_within_1_m"]["nees"]
+
+    assert nees(1.0)["within_95"] == pytest.approx(0.95, abs=0.04)
+    assert nees(1.0)["median"] == pytest.approx(2.37, abs=0.5)  # of a chi-squared of three degrees of freedom
+    assert nees(0.5)["within_95"] < 0.6
 
 
 def test_what_is_in_pixels_is_worth_what_it_is_on_average() -> None:

@@ -133,6 +133,8 @@ def _tag_detector() -> Callable[[Image], Any]:
         from pupil_apriltags import Detector  # noqa: PLC0415 - a peer that need not be there
     except ImportError:
         tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        if not hasattr(cv2.aruco, "ArucoDetector"):  # before OpenCV 4.7
+            return lambda grey: cv2.aruco.detectMarkers(grey, tags)
         return cv2.aruco.ArucoDetector(tags).detectMarkers
     return Detector(families="tag36h11", nthreads=1, quad_decimate=1.0).detect
 

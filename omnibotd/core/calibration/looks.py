@@ -12,7 +12,7 @@ from omnibotd.core.vision.frame import Frame
 _TURN, _WAY = math.radians(6.5), 0.05
 # A base that has moved less than this (rad, m) between two frames stands: where it stands, odometry owes no lag.
 _STILL = 1e-4
-# A calibration of the base takes 500, more where wheels are badly wrong; about 28 MB of JPEG.
+# A calibration of the base takes 600, more where wheels are badly wrong; about 28 MB of JPEG.
 CAPACITY = 700
 
 

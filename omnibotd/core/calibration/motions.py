@@ -22,7 +22,7 @@ _SLOWEST = 0.1
 _REST = 0.7
 # Wheels may be wrong by a tenth, and the turn must close all the same.
 _SPIN = 1.12 * 2.0 * math.pi
-_TURNS_EACH_WAY, _DRIVES = 3, 3
+_TURNS_EACH_WAY, _DRIVES = 3, 5
 # Longer drives tell more and need more room (m); the whole way must be free, ahead of where it starts.
 LEG = 1.2
 # A move that gets no further for so long (s) is stuck: a wheel turns on a carpet's edge, or not at all.
@@ -136,7 +136,7 @@ class SpinMotion(CalibrationMotion):
 
 
 class BaseMotion(CalibrationMotion):
-    """Three turns each way, then LEG metres ahead and back three times, and ahead once more.
+    """Three turns each way, then LEG metres ahead and back five times, and ahead once more.
 
     Wheels slip by half a percent of a turn and a fifth of a drive: one of each would not do. It ends LEG ahead of where
     it began, for a person with a tape.

@@ -25,8 +25,9 @@ _BUMPED_TIME = 1.0
 _STANDING, _STANDING_YAW, _DEAF_TIME = 0.001, math.radians(0.2), 1.0
 # From 1 m at any heading a run takes about 20 s; three times that is stuck.
 _TIME = 60.0
-# Moves a trim may take (three are usual), and fixes that may fail to confirm the end.
-_MAX_ROUNDS, _MAX_DISAGREEMENTS = 25, 3
+# Moves a trim may take (three are usual), fixes that may fail to confirm the end, and that may correct it: in the dark
+# they differ by up to a centimetre from what is tracked, which leans on odometry.
+_MAX_ROUNDS, _MAX_DISAGREEMENTS, _MAX_CORRECTIONS = 25, 3, 3
 
 
 class _Phase(Enum):
@@ -79,7 +80,8 @@ class Controlling:
         self._started = self._seen = observation.stamp
         self._bumped: float | None = None
         self._deafness = _Deafness()
-        self._disagreements = 0
+        self._disagreements = self._corrections = 0
+        self._correction = Pose2D()  # from tracked poses to what a fix made of the same view
 
     def step(self, observation: Observation, dt: float) -> Action | Event:
         """`dt` is how long a command holds."""
@@ -117,7 +119,7 @@ class Controlling:
         if fresh is None or fresh.verdict is Verdict.REJECTED:
             return None
         self._seen = observation.stamp
-        self.dock_from_odom = dock_from_odom(fresh)
+        self.dock_from_odom = self._correction @ dock_from_odom(fresh)
         return fresh if self._sightings.at_rest(observation, fresh) else None
 
     def _driven(self, pose: Pose2D, dt: float) -> Twist2D:
@@ -133,6 +135,9 @@ class Controlling:
         if self._limits.reached(pose):
             self._phase, self._seen = _Phase.CONFIRM, observation.stamp
             return Action(STOP, self._sightings.ask(None), math.hypot(pose.x, pose.y))
+        return self._trimmed(pose)
+
+    def _trimmed(self, pose: Pose2D) -> Action:
         self._trim.plan(pose)
         self._phase = _Phase.MOVE
         return self._action(pose)
@@ -143,6 +148,10 @@ class Controlling:
         if fix is not None:
             if self._confirms(fix, pose, observation):
                 self.dock_from_odom = dock_from_odom(fix)
+                if self._corrections < _MAX_CORRECTIONS and not self._limits.reached(fix.dock_from_base):
+                    self._corrections, self._seen = self._corrections + 1, observation.stamp
+                    self._correction = fix.dock_from_base @ pose.inverse() @ self._correction
+                    return self._trimmed(fix.dock_from_base)
                 return Event.CONFIRMED if observation.charging is None else Event.CONTACT_DUE
             self._seen = observation.stamp
             self._disagreements += 1

@@ -14,6 +14,7 @@ from omnibotd.core.docking.looking import Looking
 from omnibotd.core.docking.retreat import STAGING_DISTANCE, Retreat, staging_pose
 from omnibotd.core.docking.sightings import Sightings, dock_from_odom
 from omnibotd.core.docking.states import TRANSITIONS, Action, Event, State
+from omnibotd.core.docking.vantage import Nearer, Turned
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
 
@@ -78,7 +79,8 @@ class Docker:
         self._map_says: Pose2D | None = None
         self._looking: Looking | None = None
         self._run: Controlling | None = None
-        self._retreat: Retreat | None = None
+        self._retreat: Retreat | Nearer | Turned | None = None
+        self._retreats_in = Pose2D()
         self._dock_from_odom: Pose2D | None = None
         self._found: Pose2D | None = None
         self._reason = Event.UNSEEN
@@ -134,7 +136,7 @@ class Docker:
                 event = Event.STUCK
         following = TRANSITIONS[self.state][event]
         if following is State.RETRY:
-            self._reason, self._retreat = event, self._new_retreat(observation)
+            self._reason, (self._retreat, self._retreats_in) = event, self._new_retreat(observation)
         elif following is State.CONTROLLING:
             assert self._dock_from_odom is not None, "located"
             sure = self._map_says is not None
@@ -173,18 +175,27 @@ class Docker:
         late = observation.stamp - self._entered > _CHARGE_TIME
         return Event.NOT_CHARGING if late else Action(distance_remaining=0.0)
 
-    def _new_retreat(self, observation: Observation) -> Retreat | None:
-        """Only where this attempt has driven, and so knows the dock's pose: never blindly."""
-        if not self._driven or self._dock_from_odom is None:
-            return None
-        return Retreat(self._limits, self._dock_from_odom @ observation.odom_from_base, bumped=_bumped(observation))
+    def _new_retreat(self, observation: Observation) -> tuple[Retreat | Nearer | Turned | None, Pose2D]:
+        """The way to where to look from next, and the frame from odom that it is driven in.
+
+        Back to the staging pose only where this attempt has driven, and so knows the dock's pose: never blindly.
+        """
+        odom = observation.odom_from_base
+        if self._driven and self._dock_from_odom is not None:
+            return Retreat(self._limits, self._dock_from_odom @ odom, bumped=_bumped(observation)), self._dock_from_odom
+        contradicted = self._looking is not None and self._looking.contradicted
+        if self._map_says is not None and not contradicted and Nearer.worth(self._map_says @ odom):
+            return Nearer(self._limits, self._map_says @ odom), self._map_says
+        if observation.charging or self._map_says is not None:
+            return None, Pose2D()  # in the dock, or too near to it to turn
+        return Turned(self._limits, odom), Pose2D()
 
     def _back_out(self, observation: Observation) -> Event | Action:
         if self._retries >= self._parameters.max_retries:
             return Event.EXHAUSTED
         twist = None
-        if self._retreat is not None and self._dock_from_odom is not None:
-            pose = self._dock_from_odom @ observation.odom_from_base
+        if self._retreat is not None:
+            pose = self._retreats_in @ observation.odom_from_base
             twist = self._retreat.twist(pose, self._dt, bumped=_bumped(observation))
         if twist is None or observation.wheel_drop or observation.stamp - self._entered > _BACK_OUT_TIME:
             self._retries += 1

@@ -138,12 +138,12 @@ def test_phases_are_the_moves_with_what_the_wheels_turned():
     for seen, _ in lived(BaseMotion(LIMITS)):
         looks.take(ANY_FRAME, seen.odom_from_base)
     phases = phases_of(looks.kept, DRIVE)
-    assert [phase.turns for phase in phases] == [True] * 2 + [False] * 7
+    assert [phase.turns for phase in phases] == [True] * 2 + [False] * 11
     assert all(now.first == before.last for before, now in pairwise(phases))
     for phase, sign in zip(phases[:2], (1.0, -1.0), strict=True):
         rolled = sign * 3 * 2.0 * math.pi * 0.1 / 0.03
         assert (phase.left, phase.right) == pytest.approx((-rolled, rolled), rel=0.01)
-    for phase, sign in zip(phases[2:], (1.0, -1.0) * 4, strict=False):
+    for phase, sign in zip(phases[2:], (1.0, -1.0) * 6, strict=False):
         assert (phase.left, phase.right) == pytest.approx((sign * LEG / 0.03,) * 2, rel=0.02)
 
 

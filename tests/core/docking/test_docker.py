@@ -172,16 +172,58 @@ def test_fixes_that_contradict_each_other_never_set_it_off() -> None:
     decision = stage.until()
     assert decision.outcome is not None
     assert decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
-    assert all(d.twist == STOP for d in stage.decisions)
+    assert all(d.twist == STOP for d in stage.decisions if d.state != State.RETRY)
+    assert all(d.twist.vx == 0.0 for d in stage.decisions)
 
 
-def test_rejected_fixes_end_in_failed_to_detect_without_moving() -> None:
+def test_rejected_fixes_end_in_failed_to_detect_after_looking_other_ways() -> None:
     stage = Stage(START, bend_estimate=lambda estimate, full: replace(estimate, verdict=Verdict.REJECTED))
     decision = stage.until()
     assert decision.outcome is not None
     assert decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
     assert decision.recoveries == 3
-    assert stage.dock_from_base == START
+    assert stage.dock_from_base.distance(START) < 1e-9
+    assert stage.dock_from_base.yaw - START.yaw == pytest.approx(3 * math.radians(40.0), abs=0.1)
+
+
+def test_on_a_contact_it_never_turns_about_to_look() -> None:
+    stage = Stage(Pose2D(), charging=True)
+    stage.bend_estimate = lambda estimate, full: replace(estimate, verdict=Verdict.REJECTED)
+    stage.until()
+    assert all(d.twist == STOP for d in stage.decisions)
+
+
+def rejected(estimate: HomingEstimate) -> HomingEstimate:
+    return replace(estimate, verdict=Verdict.REJECTED)
+
+
+def test_what_is_seen_only_from_near_by_is_approached_by_the_word_of_a_map_that_is_sure() -> None:
+    stage = Stage(START)
+    stage.docker.expect(Pose2D(0.05, -0.03, 0.03) @ START @ stage.odom_from_base.inverse())
+    stage.bend_estimate = lambda estimate, full: (
+        estimate if math.hypot(estimate.dock_from_base.x, estimate.dock_from_base.y) < 0.4 else rejected(estimate)
+    )
+    decision = stage.until()
+    assert decision.state == State.DOCKED
+    assert decision.recoveries == 1
+
+
+def test_a_sure_map_s_word_alone_brings_it_no_nearer_than_a_quarter_metre() -> None:
+    stage = Stage(Pose2D(-0.6, 0.0, 0.0), bend_estimate=lambda estimate, full: rejected(estimate))
+    stage.docker.expect(stage.dock_from_base @ stage.odom_from_base.inverse())
+    decision = stage.until()
+    assert decision.outcome is not None
+    assert decision.outcome.error is ErrorName.FAILED_TO_DETECT_DOCK
+    assert -0.3 < stage.dock_from_base.x < -0.2
+
+
+def test_where_the_map_is_sure_it_looks_there_first_and_then_everywhere() -> None:
+    stage = Stage(START, bend_estimate=lambda estimate, full: estimate if full else rejected(estimate))
+    stage.docker.expect(START @ stage.odom_from_base.inverse())
+    stage.until(State.CONTROLLING)
+    asked = [d.homing.dock_from_odom is None for d in stage.decisions if d.homing is not None]
+    assert asked[:30] == [False] * 30
+    assert asked[-3:] == [True] * 3
 
 
 def test_ambiguous_fixes_need_more_agreement() -> None:
@@ -220,6 +262,19 @@ def test_a_confirmation_that_disagrees_looks_again_and_at_last_gives_up() -> Non
     assert decision.state != State.DOCKED
     assert decision.outcome is not None
     assert decision.outcome.error in (ErrorName.FAILED_TO_CONTROL, ErrorName.TIMEOUT)
+
+
+def test_a_confirmation_that_sees_it_a_little_off_corrects_it() -> None:
+    """Tracking errs; a fix from nothing tells the truth."""
+
+    def tracked_askew(estimate: HomingEstimate, full: bool) -> HomingEstimate:
+        wrong = Pose2D(0.004, 0.006, math.radians(0.6))
+        return estimate if full else replace(estimate, dock_from_base=wrong @ estimate.dock_from_base)
+
+    stage = Stage(START, bend_estimate=tracked_askew)
+    assert stage.until().state == State.DOCKED
+    assert math.hypot(stage.dock_from_base.x, stage.dock_from_base.y) <= 0.004
+    assert abs(stage.dock_from_base.yaw) <= math.radians(0.25)
 
 
 def test_a_contact_that_charges_ends_it_and_is_waited_for() -> None:
