@@ -160,6 +160,7 @@ def test_all_run_quickly(group: tuple[Item, ...], tmp_path: Path) -> None:
         assert np.all([check.wanted for check in outcome.checks])
 
 
+@pytest.mark.timeout(300)  # three processes start: on a busy machine that takes a while
 def test_groups_run_beside_each_other_as_users_start_them(tmp_path: Path) -> None:
     """Started as a program, workers must find what they are told to run."""
     command = [sys.executable, "-m", "tools.reproduction", "figure-5.4", "mirrors", "--quick", "--out", str(tmp_path)]

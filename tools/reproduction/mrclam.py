@@ -5,8 +5,9 @@ Leung, Halpern, Barfoot, Liu 2011, "The UTIAS multi-robot cooperative localizati
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, replace
-from itertools import count, pairwise
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -47,11 +48,39 @@ class Recording:
     truth: Floats
     scored: NDArray[np.intp]
 
-    def thinned(self, keep: int) -> Recording:
-        """With every so-manieth bearing."""
-        counted = count()
-        kept = [[one for one in view if next(counted) % keep == 0] for view in self.views]
-        return replace(self, views=kept)
+
+@dataclass(frozen=True, slots=True)
+class Harm:
+    """What is done to a recording: only every `thin`th bearing is kept, `noise` (rad, standard deviation) is added, a
+    share is `misnamed` as another landmark, so many landmarks are `absent`: never seen."""
+
+    thin: int = 1
+    noise: float = 0.0
+    misnamed: float = 0.0
+    absent: int = 0
+    seed: int = 1
+
+    def done(self, made: Recording) -> Recording:
+        """To the bearings of a recording; wheels and truth stay."""
+        rng = np.random.default_rng(self.seed)
+        names = sorted({one.name for view in made.views for one in view}, key=str)
+        gone = set(rng.permutation(len(names))[: self.absent].tolist())
+        left = [name for i, name in enumerate(names) if i not in gone]
+        bearings = self._kept([one for view in made.views for one in view], set(left), left, rng)
+        return replace(made, views=[[kept for _ in view if (kept := next(bearings))] for view in made.views])
+
+    def _kept(
+        self, bearings: list[Bearing], seen: set[Hashable], names: list[Hashable], rng: np.random.Generator
+    ) -> Iterator[Bearing | None]:
+        for number, one in enumerate(bearings):
+            noise, fate, other = self.noise * rng.standard_normal(), rng.random(), int(rng.integers(len(names)))
+            if number % self.thin or one.name not in seen:
+                yield None
+            else:
+                yield Bearing(names[other] if fate < self.misnamed else one.name, one.angle + noise)
+
+
+UNHARMED = Harm()
 
 
 class RecordingError(Exception):

@@ -1,6 +1,7 @@
 """Bearing-only SLAM on real recordings (MRCLAM) beside truth, and how honest the filters are about their errors.
 
-python -m tools.reproduction.slam [--data FOLDER] [--robots 1,2,3] [--thin N] [--json OUT]
+python -m tools.reproduction.slam [--data FOLDER] [--robots 1,2,3] [--thin N] [--noise DEGREES] [--misnamed SHARE]
+    [--absent N] [--json OUT]
 """
 
 from __future__ import annotations
@@ -31,7 +32,17 @@ from omnibotd.core.slam.undelayed import InverseDepth
 from tools.evaluation.options import count
 from tools.evaluation.plots import BAD, FAINT, GOOD
 from tools.reproduction.item import Check, Compared, Item, NotPossible, Outcome
-from tools.reproduction.mrclam import CALIBRATED, DATA, RAW, Recording, RecordingError, aligned_error, load
+from tools.reproduction.mrclam import (
+    CALIBRATED,
+    DATA,
+    RAW,
+    UNHARMED,
+    Harm,
+    Recording,
+    RecordingError,
+    aligned_error,
+    load,
+)
 from tools.reproduction.slam_simulation import RING, drive, rolling
 
 Floats = NDArray[np.float64]
@@ -55,8 +66,9 @@ NEES_SEEDS = 50
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prints a table; exit status 1 where the recordings are none or a limit is missed."""
     options = _parser().parse_args(arguments)
+    harm = Harm(options.thin, math.radians(options.noise), options.misnamed, options.absent)
     try:
-        rows = [row for robot in options.robots.split(",") for row in recording(options.data, int(robot), options.thin)]
+        rows = [row for robot in options.robots.split(",") for row in recording(options.data, int(robot), harm)]
     except RecordingError as error:
         print(f"slam: {error}", file=sys.stderr)
         return 1
@@ -67,9 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(not all(row["met"] for row in rows))
 
 
-def recording(folder: Path, robot: int, thin: int = 1) -> list[dict[str, Any]]:
-    """Every method on one robot's recording, of which every `thin`th bearing is kept."""
-    logged, better = (load(folder, robot, wheels).thinned(thin) for wheels in (RAW, CALIBRATED))
+def recording(folder: Path, robot: int, harm: Harm = UNHARMED) -> list[dict[str, Any]]:
+    """Every method on one robot's recording, to which `harm` is done."""
+    logged, better = (harm.done(load(folder, robot, wheels)) for wheels in (RAW, CALIBRATED))
     rows = [_scored(robot, "dead reckoning, speeds as logged", _reckoned(logged), logged, "")]
     rows.append(_scored(robot, "dead reckoning, speeds corrected", _reckoned(better), better, ""))
     batch = smoothed(better.stamps, better.steps, better.views, CREATE, SMOOTHER_NOISE)
@@ -217,6 +229,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--data", type=Path, default=DATA, help="folder of an MRCLAM set (default: %(default)s)")
     parser.add_argument("--robots", default="1,2,3", help="of the set, with commas between (default: %(default)s)")
     parser.add_argument("--thin", type=count, default=1, metavar="N", help="keep every Nth bearing")
+    parser.add_argument("--noise", type=float, default=0.0, metavar="DEGREES", help="more of it on every bearing")
+    parser.add_argument("--misnamed", type=float, default=0.0, metavar="SHARE", help="of bearings, as another landmark")
+    parser.add_argument("--absent", type=int, default=0, metavar="N", help="landmarks that are never seen")
     parser.add_argument("--json", type=Path, help="writes the numbers here")
     return parser
 

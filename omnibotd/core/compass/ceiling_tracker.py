@@ -66,7 +66,7 @@ class CeilingTracker:
 
     def update(self, frame: Frame, step: Step | None = None) -> Tracked:
         """Take the next frame; without a step it is expected to move as it did last. FrameError: unusable frame."""
-        look = self._looking(frame, coarse=step is None or self._missed > 0)
+        look = self._looking(frame)
         moved = self._last_move if step is None else step.moved
         predicted = self._pose @ moved
         if step is not None:

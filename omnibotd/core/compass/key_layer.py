@@ -36,11 +36,13 @@ GOOD_SCORE = 0.7
 class Fix:
     """Where the robot is, seen from where the key view was taken.
 
-    `score` is the correlation of what both show, -1 where they share nothing.
+    `score` is the correlation of what both show, -1 where they share nothing; `told` is what the picture says of how
+    near every cell is (C,), and how surely (1/variance).
     """
 
     pose: Pose2D
     score: float
+    told: tuple[Floats, Floats] | None = None
 
     @property
     def good(self) -> bool:
@@ -68,8 +70,13 @@ class KeyLayer:
         """Take over what an older one has learnt of the same things, seen from elsewhere (in heights)."""
         self.nearness.inherit(self.points, older.nearness, older.points, older_from_this, self._contrast)
 
-    def locate(self, picture: FloatImage, expected: Expected, *, learn: bool) -> Fix:
-        """Where the picture was taken, from where this one was; `learn` of the nearness of things by it."""
+    def learn(self, fix: Fix) -> None:
+        """Of the nearness of things, by a picture that was located."""
+        if fix.told:
+            self.nearness.learn(*fix.told)
+
+    def locate(self, picture: FloatImage, expected: Expected) -> Fix:
+        """Where the picture was taken, from where this one was."""
         guess = Guess.first(expected)
         score, near = -1.0, self.nearness.at(self.points)
         parallax = np.zeros_like(near)
@@ -84,9 +91,7 @@ class KeyLayer:
             guess = guess.stepped(solution.step)
             if np.abs(solution.step[:3]).max() * self._contrast.focal < _STILL:
                 break
-        if learn and score >= GOOD_SCORE:
-            self.nearness.learn(*equations.told(solution.step))
-        return Fix(guess.metric(expected), score)
+        return Fix(guess.metric(expected), score, equations.told(solution.step))
 
     def _sampled(self, picture: FloatImage, pose: Pose2D, near: FloatImage) -> tuple[FloatImage, NDArray[np.bool_]]:
         """The picture's contrast (N,) where it shows the points if taken at `pose`, and which are in it."""

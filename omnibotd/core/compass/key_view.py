@@ -11,13 +11,17 @@ from omnibotd.core.geometry import Pose2D
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import FloatImage, Frame
 
+# What is recognised so well where it is expected need not be looked for elsewhere. On bare walls looking elsewhere
+# first, coarsely, leads astray.
+_SURE = 0.95
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """What a frame shows; without `coarse` it can only be found where it is expected to about two pixels."""
+    """What a frame shows."""
 
     fine: FloatImage
-    coarse: FloatImage | None
+    coarse: FloatImage
 
 
 class Looking:
@@ -26,9 +30,9 @@ class Looking:
     def __init__(self, camera: CameraModel) -> None:
         self.fine, self.coarse = Contrast(camera, FINE), Contrast(camera, COARSE)
 
-    def __call__(self, frame: Frame, *, coarse: bool) -> Look:
+    def __call__(self, frame: Frame) -> Look:
         """Raises FrameError where the frame can't be used."""
-        return Look(self.fine(frame), self.coarse(frame) if coarse else None)
+        return Look(self.fine(frame), self.coarse(frame))
 
 
 class KeyView:
@@ -41,9 +45,9 @@ class KeyView:
     @classmethod
     def of(cls, frame: Frame, looking: Looking, pose: Pose2D) -> KeyView | None:
         """None where there is too little to see."""
-        look = looking(frame, coarse=True)
+        look = looking(frame)
         fine = KeyLayer.of(look.fine, looking.fine)
-        if fine is None or look.coarse is None:
+        if fine is None:
             return None
         return cls(pose, fine, KeyLayer.of(look.coarse, looking.coarse))
 
@@ -53,8 +57,12 @@ class KeyView:
 
     def locate(self, look: Look, expected: Expected, *, learn: bool) -> Fix:
         """Where the robot is, from this view's place; `learn` of the nearness of things by it."""
-        if look.coarse is not None and self._coarse is not None:
-            found = self._coarse.locate(look.coarse, expected, learn=False)
+        fix = self._fine.locate(look.fine, expected)
+        if fix.score < _SURE and self._coarse is not None:
+            found = self._coarse.locate(look.coarse, expected)
             if found.good:
-                expected = replace(expected, start=found.pose)
-        return self._fine.locate(look.fine, expected, learn=learn)
+                other = self._fine.locate(look.fine, replace(expected, start=found.pose))
+                fix = max(fix, other, key=lambda each: each.score)
+        if learn and fix.good:
+            self._fine.learn(fix)
+        return fix

@@ -25,6 +25,11 @@ Floats = NDArray[np.float64]
 _PLANE, _WALL = 0.05, 0.6
 _WALLS_FROM, _WALLS_ALL = math.radians(40.0), math.radians(55.0)
 _TYPICAL_WALL = 0.75
+# Of the zenith angles below which all is ceiling, a few cells at least say how high that is.
+_OVERHEAD, _FEWEST = math.cos(_WALLS_FROM), 3
+# A cell's things are not all equally near: however many frames say so, it is known to no better than this share. Known
+# better, errors of the sides outvote what is ahead and behind, and driving leaks into the turn.
+_MIXED = 0.05
 # A cell seen from a new place holds other points, too: what was known of it counts half.
 _HANDED_ON = 2.0
 # Frames compared with one key view share its noise: each counts as a fifth of a new one.
@@ -33,19 +38,20 @@ _NEW = 0.2
 
 @dataclass(slots=True, eq=False)
 class Nearness:
-    """Of each cell of a key view: by how much nearer than the ceiling's plane, and the variance of that."""
+    """Of each cell of a key view: how near the ceiling's plane is, how much nearer it is, and the variance."""
 
+    plane: Floats
     excess: Floats
     variance: Floats
 
     @classmethod
     def guessed(cls, points: KeyPoints) -> Nearness:
         """Before anything moved."""
-        count = np.bincount(points.cell)
-        zenith = np.arccos(np.bincount(points.cell, points.z) / count)
+        plane = np.bincount(points.cell, points.z) / np.bincount(points.cell)
+        zenith = np.arccos(plane)
         wall = np.clip((zenith - _WALLS_FROM) / (_WALLS_ALL - _WALLS_FROM), 0.0, 1.0)
         excess = wall * np.maximum(0.0, _TYPICAL_WALL * np.sin(zenith) - np.cos(zenith))
-        return cls(excess, (_PLANE + wall * _WALL) ** 2)
+        return cls(plane, excess, (_PLANE + wall * _WALL) ** 2)
 
     def at(self, points: KeyPoints) -> FloatImage:
         """(N,) of each point."""
@@ -57,6 +63,16 @@ class Nearness:
         share = information / (information + 1.0 / self.variance)
         self.excess += share * correction
         self.variance *= 1.0 - share
+        self._hold()
+
+    def _hold(self) -> None:
+        """All nearer and all motion shorter looks the same: what is overhead holds the scale, by its median."""
+        near = self.plane + self.excess
+        overhead = self.plane > _OVERHEAD
+        if np.count_nonzero(overhead) >= _FEWEST:
+            near /= np.median(near[overhead] / self.plane[overhead])
+        self.excess = near - self.plane
+        self.variance = np.maximum(self.variance, (_MIXED * near) ** 2)
 
     def inherit(
         self, points: KeyPoints, older: Nearness, its: KeyPoints, older_from_this: Pose2D, contrast: Contrast

@@ -126,9 +126,14 @@ class BearingSlam:
         self.belief.move(wheel_motion(self.belief.mean[: self.belief.vehicle], step, noise))
 
     def look(self, bearings: Sequence[Bearing], stamp: float) -> None:
-        """One view, at `stamp` (s): mapped landmarks correct, others are on their way into the map (Algorithm 5.1)."""
-        mapped = [bearing for bearing in bearings if bearing.name in self._recent]
-        new = [bearing for bearing in bearings if bearing.name not in self._recent]
+        """One view, at `stamp` (s): mapped landmarks correct, others are on their way into the map (Algorithm 5.1).
+
+        Of several bearings of one name none is believed: all but one are wrong, and which is anybody's guess.
+        """
+        times = Counter(bearing.name for bearing in bearings)
+        clear = [bearing for bearing in bearings if times[bearing.name] == 1]
+        mapped = [bearing for bearing in clear if bearing.name in self._recent]
+        new = [bearing for bearing in clear if bearing.name not in self._recent]
         self._monitor.see(len(mapped), len(new))
         if mapped:
             self._correct(mapped)

@@ -148,3 +148,23 @@ def test_who_may_be_far_off_says_so() -> None:
     slam.roll(WheelStep(Pose2D(0.1, 0.0, 0.0), 4.0, 0.0), careless)
     assert slam.health.state is State.VAGUE
     assert "m off" in slam.health.reason
+
+
+@pytest.mark.parametrize("initialiser", INITIALISERS)
+def test_of_two_bearings_of_one_name_none_is_believed(initialiser: Callable[[], Initialiser]) -> None:
+    slam = driven(initialiser(), math.radians(0.3))
+    before = slam.belief.mean.copy()
+    slam.look([Bearing(0, 0.3), Bearing(0, 1.0), Bearing("new", 0.3), Bearing("new", 1.0)], 100.0)
+    assert "new" not in slam.names
+    assert slam.belief.mean == pytest.approx(before, abs=0.0)
+
+
+def test_names_given_at_random_are_no_trouble_but_noticed() -> None:
+    """A third of the bearings under any name, now and then twice in a view, while landmarks come and go."""
+    rng, poses, slam = np.random.default_rng(8), drive(30 * 60)[::15], BearingSlam(InverseDepth(), math.radians(0.5))
+    for i, view in enumerate(views(poses, RING, math.tau, math.radians(0.5), rng)):
+        if i:
+            slam.roll(step(poses[i - 1], poses[i]), WHEELS)
+        names = [one.name if rng.random() > 0.4 else int(rng.integers(len(RING))) for one in view]
+        slam.look([Bearing(name, one.angle) for name, one in zip(names, view, strict=True)], i / 2.0)
+    assert slam.health.state is State.DIVERGED
