@@ -142,7 +142,7 @@ def test_recovery_counts_the_carried_robots_alone() -> None:
 @pytest.mark.parametrize(
     ("said", "expected"),
     [
-        ([(10.0, 2.0, 0.9), (10.5, 0.2, 0.5), (11.0, 0.2, 0.6), (11.5, 0.2, 0.3)], 1.0),  # unsure again is no matter
+        ([(10.0, 2.0, 0.9), (10.5, 0.2, 0.5), (11.0, 0.2, 0.95), (11.5, 0.2, 0.3)], 1.0),  # unsure again is no matter
         ([(10.0, 0.1, 0.9), (11.0, 0.3, 0.1), (12.0, 0.1, 0.9)], 2.0),  # to be wrong again is
         ([(10.0, 0.1, 0.9), (11.0, 0.3, 0.1)], None),
         ([(10.0, math.inf, 0.0)], None),

@@ -5,6 +5,7 @@ A tool that can't be had skips it and says so; where CI is set, that is a failur
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,12 +19,12 @@ from tools import package
 
 HERE = Path(__file__).resolve().parent
 KEPT = HERE.parents[1] / "out/vm"
-MOMENTS = pytest.StashKey[dict[str, str]]()
+FOUND = pytest.StashKey[dict[str, tuple[float, str]]]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "vm: a Debian guest in QEMU (tools/test -m vm tests/vm)")
-    config.stash[MOMENTS] = {}
+    config.stash[FOUND] = {}
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -35,10 +36,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    if config.stash[MOMENTS]:
-        terminalreporter.section("seconds of the guest's time")
-        for name, seconds in config.stash[MOMENTS].items():
-            terminalreporter.write_line(f"{name:<62} {seconds}")
+    """The table, and as JSON in out/vm/found.json."""
+    found = config.stash[FOUND]
+    if not found:
+        return
+    terminalreporter.section("measured in the guest, by its own clock")
+    for name, (amount, unit) in found.items():
+        terminalreporter.write_line(f"{name:<62} {amount:7.2f} {unit}")
+    table = {name: {"amount": amount, "unit": unit} for name, (amount, unit) in found.items()}
+    (KEPT / "found.json").write_text(json.dumps(table, indent=1) + "\n")
 
 
 @pytest.fixture(scope="session")
@@ -70,7 +76,7 @@ def rig(debian: Path, packages: tuple[Path, Path], pytestconfig: pytest.Config) 
     debian_image.install(debian, packages[0])
     # A short path: a Unix socket's has at most 107 bytes.
     with TemporaryDirectory(prefix="omnibot-vm-") as folder:
-        rig = Rig(debian_image.image(debian, KEPT), Path(folder), pytestconfig.stash[MOMENTS])
+        rig = Rig(debian_image.image(debian, KEPT), Path(folder), pytestconfig.stash[FOUND])
         try:
             rig.guest.wait()
             yield rig

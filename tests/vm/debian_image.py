@@ -56,13 +56,13 @@ class Image:
 
 
 def debian(folder: Path) -> Path:
-    """The system without our package but with all it depends on; made once, 2 GB."""
+    """The system without our package but with all it depends on; made anew only where that is another; 2 GB."""
     root, made = folder / "debian", folder / "debian.made"
-    if not made.exists():
+    packages = ",".join([SYSTEM, *(part.partition(" ")[0] for part in package.depends().split(", "))])
+    if not made.exists() or made.read_text() != packages:
         shutil.rmtree(root, ignore_errors=True)
-        needed = ",".join(part.partition(" ")[0] for part in package.depends().split(", "))
-        subprocess.run(_mmdebstrap(root, f"{SYSTEM},{needed}"), check=True)
-        made.touch()
+        subprocess.run(_mmdebstrap(root, packages), check=True)
+        made.write_text(packages)
     return root
 
 

@@ -6,47 +6,51 @@ import asyncio
 import json
 import math
 import threading
-import time
 from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 from omnibotd.core.geometry import Pose2D
-from tools.sim.lockstep import LockstepRobot
+from tools.sim.lockstep import STEP, LockstepRobot
 from tools.sim.plant import Pose
 from tools.sim.usb_redir import RedirSession
 from tools.sim.uvc_camera import UvcCamera
 from tools.sim.world_plugin import World
 
 T = TypeVar("T")
-POLL_PERIOD = 0.1  # s of the host
-HOUR = 3600.0  # s, after which what is read of the guest's clock begins anew
-LULL_STEP = 0.04  # s of the world, two of its steps
+POLL_PERIOD = 0.02  # s of the host
+# The guest's own time, for any observer: the counter of its ACPI timer. No read of it changes anything.
+CLOCK_PORT, CLOCK_HZ, CLOCK_BITS = 0x608, 3579545.0, 24
+LULL = 0.14  # s of the guest without a set-point, where every tick of 0.1 s brings one: half of what is silence
 ANSWER_LIMIT = 120.0  # s of the host; a daemon that is down does not answer at all
 REACH = 0.15  # m, how near to a corner of the way is there
 TOP_SPEED, TOP_TURN = 0.4, 1.2  # m/s, rad/s
 
 
-class Pace:
-    """How fast the guest's time goes, from its clock that only tells whole seconds; `now` is the host's."""
+class Lull:
+    """For how long the world must live on by the guest's clock, as no set-point lets it."""
 
-    def __init__(self) -> None:
-        self._second = self._turned_at = self._rate = self._left = 0.0
+    def __init__(self, count: int) -> None:
+        self._count, self._quiet, self._owed = count, 0.0, 0.0
 
-    def tell(self, second: float, now: float) -> bool:
-        """Hear the guest's clock; whether a second has begun since last time."""
-        if second == self._second:
-            return False
-        self._rate = min(1.0, (second - self._second) % HOUR / max(now - self._turned_at, 1e-3))
-        self._second, self._turned_at, self._left = second, now, 1.0
-        return True
+    def guided(self) -> None:
+        """A set-point has come: it tells the time up to now."""
+        self._quiet = self._owed = 0.0
 
-    def take(self, host_seconds: float) -> float:
-        """Seconds of the guest that have passed since, never more than its clock will bear out."""
-        part = min(self._rate * host_seconds, self._left)
-        self._left -= part
-        return part
+    def tell(self, count: int) -> None:
+        """What the guest's clock shows now."""
+        passed = (count - self._count) % 2**CLOCK_BITS / CLOCK_HZ
+        self._count = count
+        self._quiet += passed
+        self._owed += passed
+
+    def take(self, step: float) -> float:
+        """Whole steps that are due; none before it is certain that no set-point is on its way."""
+        due = self._owed // step * step if self._quiet > LULL else 0.0
+        self._owed -= due
+        return due
 
 
 class Outside:
@@ -58,7 +62,7 @@ class Outside:
         self.robot = LockstepRobot(world, pose, seed, self.camera.show)
         self.robot.on_tick = self._tick
         self._ticked = asyncio.Event()
-        self._guided = False  # a set-point has come within this second of the guest
+        self._guided = False  # a set-point has come since the guest's clock was read last
         self._base: asyncio.StreamWriter | None = None
         self._base_plugged = False
         self._camera_plugged = asyncio.Event()
@@ -66,16 +70,32 @@ class Outside:
         self._hand: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
         self._requests = 0
         self._loop = asyncio.new_event_loop()
+        self._works: list[Future[None]] = []
+        self._lines: list[asyncio.StreamWriter] = []
         self._thread = threading.Thread(target=self._loop.run_forever, name="outside", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
-        for work in (self._live, self._be_base, self._be_camera):
-            self._loop.call_soon_threadsafe(lambda work=work: asyncio.ensure_future(work()))
+        for work in (self._live(), self._be_base(), self._be_camera()):
+            self._works.append(asyncio.run_coroutine_threadsafe(work, self._loop))
 
     def close(self) -> None:
+        """Raises RuntimeError where a part of the world had ended before: what came after stood still."""
+        ended = [work for work in self._works if work.done()]
+        self.do(self._end(), 10.0)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
+        self._loop.close()
+        for work in ended:
+            raise RuntimeError("a part of the world had ended") from work.exception()
+
+    async def _end(self) -> None:
+        works = asyncio.all_tasks() - {asyncio.current_task()}
+        for work in works:
+            work.cancel()
+        await asyncio.gather(*works, return_exceptions=True)
+        for line in self._lines:
+            line.close()
 
     def do(self, work: Coroutine[Any, Any, T], patience: float = 1800.0) -> T:
         """Wait for something that happens outside."""
@@ -104,7 +124,7 @@ class Outside:
         self.set(pull)
 
     def base_is_plugged(self, plugged: bool) -> None:
-        """To be told after QEMU was: what is said while nothing is plugged in must not wait on the line."""
+        """What is said while nothing is plugged in must not wait on the line."""
         self.set(lambda: setattr(self, "_base_plugged", plugged))
 
     async def _be_base(self) -> None:
@@ -128,20 +148,24 @@ class Outside:
 
     async def _live(self) -> None:
         """The world's clock while no set-point tells the time: the guest's own, through QEMU's monitor."""
-        pace, owed, unguided = Pace(), 0.0, True
         reader, monitor = await self._connected("clock")
         await self._command(reader, monitor, "qmp_capabilities")
+        lull = Lull(await self._clock(reader, monitor))
         while True:
             await asyncio.sleep(POLL_PERIOD)
-            clock = await self._command(reader, monitor, "qom-get", path="/machine", property="rtc-time")
-            second = clock["tm_min"] * 60.0 + clock["tm_sec"]
-            if pace.tell(second, time.monotonic()):
-                unguided, self._guided = not self._guided, False
-            owed = owed + pace.take(POLL_PERIOD) if unguided and not self._guided else 0.0
-            if owed >= LULL_STEP:
-                self._say(self.robot.idle(LULL_STEP))
-                owed -= LULL_STEP
+            lull.tell(await self._clock(reader, monitor))
+            if self._guided:
+                lull.guided()
+                self._guided = False
+            if due := lull.take(STEP):
+                self._say(self.robot.idle(due))
                 self._lived()
+
+    async def _clock(self, reader: asyncio.StreamReader, monitor: asyncio.StreamWriter) -> int:
+        """The count of the guest's ACPI timer."""
+        read = {"command-line": f"i /w {CLOCK_PORT:#x}"}
+        said = await self._command(reader, monitor, "human-monitor-command", **read)
+        return int(said.rpartition("=")[2], 16)
 
     @staticmethod
     async def _command(reader: asyncio.StreamReader, monitor: asyncio.StreamWriter, name: str, **arguments: str) -> Any:
@@ -179,7 +203,9 @@ class Outside:
     async def _connected(self, name: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         while True:
             with suppress(OSError):
-                return await asyncio.open_unix_connection(str(self._folder / name))
+                reader, line = await asyncio.open_unix_connection(str(self._folder / name))
+                self._lines.append(line)
+                return reader, line
             await asyncio.sleep(0.1)
 
     # ---- the person

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +19,61 @@ from tools.sim import ceilings
 
 SEED = 1
 START = (-0.6, -1.2, 0.0)
+EVENT_LOOP, WORKERS = "control, base and requests", "perception and camera"
+ON_THE_LINE = 0.2  # s of the host until QEMU has read what was sent
+TICKS_A_SECOND = 100  # in which the guest's kernel counts processor time
 PATIENCE = 1800.0  # s of the host: CI's has two cores, others may be busier
 
 
 class Rig:
     """A robot's PC that has just been switched on."""
 
-    def __init__(self, image: Image, folder: Path, moments: dict[str, str]) -> None:
+    def __init__(self, image: Image, folder: Path, found: dict[str, tuple[float, str]]) -> None:
         world = ceilings.tiles(SEED)
         self.dock = Pose2D(*world.dock)
         self.guest = Guest(image.disk, image.kernel, image.initrd, folder)
         self.outside = Outside(folder, world, START, SEED)
         self.outside.start()
-        self._moments = moments
+        self._found = found
         self._adapters = 0
 
     def close(self) -> None:
-        self.outside.close()
-        self.guest.close()
+        try:
+            self.outside.close()
+        finally:
+            self.guest.close()
 
-    def note(self, what: str, seconds: float) -> None:
+    def note(self, what: str, amount: float, unit: str = "s") -> None:
         """A line of the table."""
-        self._moments[what] = f"{seconds:6.2f}"
+        self._found[what] = round(amount, 2), unit
+
+    @contextmanager
+    def watch(self, doing: str) -> Iterator[None]:
+        """Lines of the table: how much of the guest's processor each part of the daemon takes meanwhile."""
+        before = self._spent()
+        yield
+        after = self._spent()
+        elapsed = after.pop("clock") - before.pop("clock")
+        for part, spent in after.items():
+            self.note(f"{part}, while it {doing}", 100.0 * (spent - before[part]) / elapsed, "%")
+
+    def _spent(self) -> dict[str, float]:
+        """Processor seconds of the daemon's threads so far, and the guest's seconds since boot."""
+        (pid,) = self.unit("MainPID")
+        uptime, *stats = self.guest.sh(f"cut -d' ' -f1 /proc/uptime; cat /proc/{pid}/task/*/stat").splitlines()
+        spent = {"clock": float(uptime), EVENT_LOOP: 0.0, WORKERS: 0.0}
+        for stat in stats:
+            user, system = stat.rpartition(")")[2].split()[11:13]
+            part = EVENT_LOOP if stat.startswith(f"{pid} ") else WORKERS
+            spent[part] += (int(user) + int(system)) / TICKS_A_SECOND
+        return spent
+
+    @contextmanager
+    def taken(self, device: str) -> Iterator[None]:
+        """Somebody else has it open, too: what is unplugged and plugged in again meanwhile gets another name."""
+        pid = self.guest.sh(f"exec sleep 1000 <{device} >/dev/null 2>&1 & echo $!")
+        yield
+        self.guest.sh(f"kill {pid}")
 
     # ---- plugs
 
@@ -49,8 +83,10 @@ class Rig:
         self.outside.base_is_plugged(True)
 
     def unplug_base(self) -> None:
-        self.guest.unplug(f"adapter{self._adapters}")
+        # QEMU falls over a byte for an adapter that is on its way out (usb_wakeup without a bus, 7.2).
         self.outside.base_is_plugged(False)
+        time.sleep(ON_THE_LINE)
+        self.guest.unplug(f"adapter{self._adapters}")
 
     # ---- the daemon
 
@@ -82,6 +118,11 @@ class Rig:
         said = self.guest.sh(f"systemctl show -p {','.join(names)} omnibotd")
         values = dict(line.split("=", 1) for line in said.splitlines())
         return [values[name] for name in names]
+
+    def exposure(self) -> float:
+        """What systemd-analyze says of the unit: 0 for shut, 10 for open."""
+        said = self.guest.sh("systemd-analyze --no-pager security omnibotd")
+        return float(said.rpartition("omnibotd.service: ")[2].split()[0])
 
     def restarts(self) -> int:
         return int(self.unit("NRestarts")[0])
