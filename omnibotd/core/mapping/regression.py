@@ -21,6 +21,8 @@ Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 
 NEIGHBOURS = 20
+# The first ring of the rim, 60 degrees from the vertical: from there on there are walls and furniture in a room.
+_RIM = 12
 RADIUS = 0.6
 # Length over which views stay alike (m), Matern 3/2, and noise variance in units of a cell's own: fitted to how
 # correlation falls with distance, 0.92 at 8 cm, 0.6 at 25 cm.
@@ -41,13 +43,15 @@ _OF_A_CONSTANT = np.array([1.0, 0.0, 0.0])
 
 @dataclass(frozen=True, slots=True)
 class Regressed:
-    """A pose, its standard deviation (m) in the worst direction, how the view correlates with the predicted one, and
-    the share of a view's variance that the nodes leave unexplained there (0 at a node, 1 far from all)."""
+    """A pose, its standard deviation (m) in the worst direction, how the view correlates with the predicted one, the
+    share of a view's variance that the nodes leave unexplained there (0 at a node, 1 far from all), and how the `rim`
+    alone correlates, the outer quarter of the view (NaN where the lens does not see that far)."""
 
     pose: Pose2D
     sigma: float
     score: float
     unexplained: float
+    rim: float
 
 
 def refine(
@@ -80,8 +84,9 @@ def refine(
         if np.abs(step[:2]).max() < 0.01:
             break
     result = Pose2D(prior.x + float(deviation[0]), prior.y + float(deviation[1]), prior.yaw + float(deviation[2]))
-    score = _correlation(query, expected + step.astype(np.float32) @ jacobian)
-    return Regressed(result, _spread(covariance), score, unexplained)
+    expected = expected + step.astype(np.float32) @ jacobian
+    score, rim = _correlation(query, expected), _correlation_at_rim(query, expected)
+    return Regressed(result, _spread(covariance), score, unexplained, rim)
 
 
 def _linearised(view: View, pose: Doubles, positions: Floats, views: Floats) -> tuple[Floats, Floats, Floats, float]:
@@ -130,6 +135,12 @@ def _spread(covariance: Doubles) -> float:
     """Standard deviation in the worst direction: root of the larger eigenvalue over the first two axes."""
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     return math.sqrt((xx + yy) / 2.0 + math.hypot((xx - yy) / 2.0, xy))
+
+
+def _correlation_at_rim(query: Floats, expected: Floats) -> float:
+    query, expected = query[_RIM * SECTORS :], expected[_RIM * SECTORS :]
+    seen = np.count_nonzero(query) >= len(query) // 2  # what is not seen is exactly zero
+    return _correlation(query, expected) if seen else math.nan
 
 
 def _correlation(a: Floats, b: Floats) -> float:

@@ -11,10 +11,12 @@ import math
 from omnibotd.core.navigation.sight import Sight, covered, ramp
 
 # The share is never taken for less; metres to learn that it is less, and more.
-_DARKEST, _DARKER, _BRIGHTER = 0.5, 1.0, 0.3
+_DARKEST, _DARKER, _BRIGHTER = 0.5, 0.5, 0.3
 # Lead over everything elsewhere, as a share of the score and on the average of so many metres, that teaches not at all
 # and fully where look-alikes score 0.5; where they score more, it must be more by this factor.
 _LEADING, _LEADING_LENGTH, _REPETITIVE = (0.36, 0.46), 0.7, 1.5
+# The same where the rim seconds it, which correlates that much: walls look the same by lamp and by window.
+_SECONDED, _RIM = (0.15, 0.3), (0.5, 0.65)
 # Root of the squared corrections (m) of the last decimetres, up to which and from which a pose does not follow odometry
 # (a right one makes 0.005 in a metre, a wrong one 0.01 to 0.2); what wheels off by so much explain is no correction.
 _FOLLOWING, _FOLLOWING_LENGTH, _WHEELS_OFF = (0.04, 0.06), 0.35, 0.1
@@ -46,7 +48,8 @@ class Illumination:
         self._squares += max(0.0, sight.corrected - _WHEELS_OFF * sight.moved) ** 2
         self._squares = min(self._squares, _FOLLOWING[1] ** 2)
         following = 1.0 - ramp(math.sqrt(self._squares), *_FOLLOWING)
-        worth = following * ramp(self._lead, *self._leading) * covered(sight.unexplained)
+        seconded = sight.at_rim(*_RIM, unseen=0.0) * ramp(self._lead, *_SECONDED)
+        worth = following * max(ramp(self._lead, *self._leading), seconded) * covered(sight.unexplained)
         left = min(max(sight.score / max(expected, 0.1), _DARKEST), 1.0)
         self.share += (left - self.share) * worth * _learnt(sight.moved, _DARKER if left < self.share else _BRIGHTER)
 

@@ -92,11 +92,13 @@ class _Candidates:
 @dataclass(frozen=True, slots=True)
 class _Fit:
     """How well the view predicted at a pose fits (-1: none can be), the variance that the nodes leave unexplained
-    there, and the strain of getting there: log odds against so large a correction of what odometry said."""
+    there, the strain of getting there: log odds against so large a correction of what odometry said, and how well
+    the rim alone fits."""
 
     score: float
     unexplained: float
     strain: float = 0.0
+    rim: float = math.nan
 
 
 def _shortfalls(fits: list[_Fit]) -> Floats:
@@ -266,7 +268,7 @@ class Localizer:
         loose = sigma * (1.0 - ramp(found.score / self._trust.light.share, *_FIRM))
         self._hypotheses.place(number, found.pose, max(found.sigma, _SURE, loose))
         strain = 0.5 * (found.pose.distance(prior) / (sigma + _SURE)) ** 2
-        return _Fit(found.score, found.unexplained, min(strain, _MOST_STRAIN))
+        return _Fit(found.score, found.unexplained, min(strain, _MOST_STRAIN), found.rim)
 
     def _correction(self, step: Pose2D) -> float:
         """How far (m) the tracked pose was moved beyond what odometry says."""
@@ -283,7 +285,7 @@ class Localizer:
         apart = np.hypot(seen.poses[:, 0] - x, seen.poses[:, 1] - y)
         # Where all candidates are here, the best elsewhere is no better than the worst of them.
         elsewhere = float(seen.scores[apart > _ELSEWHERE].max(initial=seen.scores.min(initial=1.0)))
-        return Sight(score, elsewhere, fit.unexplained, moved, corrected, continues)
+        return Sight(score, elsewhere, fit.unexplained, moved, corrected, continues, fit.rim)
 
     def _estimate(self, stamp: float, odom: Pose2D, seen: _Candidates, sight: Sight) -> PlaceEstimate:
         x, y, yaw = (float(value) for value in self._hypotheses.poses[0])

@@ -16,7 +16,8 @@ _NOISE, _EXPLAINED, _CODED = 0.08, 1.2, 0.93
 class Sight:
     """What one frame says about the tracked pose: `score` there, best score `elsewhere`, share of variance left
     `unexplained` by the nodes there, metres `moved` since the frame before, metres by which the pose was `corrected`
-    then, and whether the frame `continues` that one."""
+    then, whether the frame `continues` that one, and how the `rim` of the view correlates there (NaN where the lens
+    does not see that far)."""
 
     score: float
     elsewhere: float
@@ -24,6 +25,11 @@ class Sight:
     moved: float
     corrected: float = 0.0
     continues: bool = True
+    rim: float = math.nan
+
+    def at_rim(self, low: float, high: float, *, unseen: float) -> float:
+        """0 where the rim correlates at `low` or less, 1 from `high` on, `unseen` where there is none to see."""
+        return unseen if math.isnan(self.rim) else ramp(self.rim, low, high)
 
 
 def expected_score(unexplained: float) -> float:

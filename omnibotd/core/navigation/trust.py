@@ -13,6 +13,12 @@ from omnibotd.core.navigation.sight import Sight, covered, expected_score, ramp
 _SLACK, _TOO_LOW = 0.15, 0.35
 # Nor is what look-alikes reach a match, down to so much below what is expected.
 _SURPASSING = 0.2
+# Where half a room is like the other half, a pose in the wrong one matches under the ceiling as a right one does in
+# another light, but not at the walls. So the rim must fit, from and up to these correlations, unless the whole fits to
+# within so much of what is expected: furniture is moved, and people stand about.
+_RIM_FITS, _WHOLE_FITS = (0.35, 0.6), (0.12, 0.04)
+# A rim that fits so well is as good as a clear lead, also where one lamp is like the next.
+_RIM_LEADS = (0.65, 0.85)
 # Share of the way from the look-alikes' level to a perfect match at which a match can be no look-alike.
 _DISTINCT = 0.4
 # A better match elsewhere contradicts: by how much better, and how good it must be itself.
@@ -76,12 +82,15 @@ class Trust:
         """Take a frame into account; returns the new value."""
         expected = expected_score(sight.unexplained)
         self.light.learn(sight, expected)
+        whole = ramp(sight.score, expected - _WHOLE_FITS[0], expected - _WHOLE_FITS[1])
         # As it would be in the light of the teaching drive.
         sight = replace(sight, score=sight.score / self.light.share, elsewhere=sight.elsewhere / self.light.share)
         no_better = min(self._chance, expected - _SURPASSING)
         fit = ramp(sight.score, max(expected - _TOO_LOW, no_better, 0.3), max(expected - _SLACK, 0.5))
+        fit *= max(sight.at_rim(*_RIM_FITS, unseen=1.0), whole)
         distinct = ramp(sight.score, self._chance, self._chance + _DISTINCT * (1.0 - self._chance))
         lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD) * distinct
+        lead = max(lead, sight.at_rim(*_RIM_LEADS, unseen=0.0))
         contradicted = ramp(sight.elsewhere - sight.score, _BETTER, _MUCH_BETTER)
         contradicted *= ramp(sight.elsewhere, _CREDIBLE, _STRONG)
         self._break_off(sight.continues, fit * lead)

@@ -16,7 +16,8 @@ from omnibotd.core.navigation.localization import Localizer
 from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.frame import Frame
 from tests.teaching import CAMERA, DT, error, frame, waypoint_drive, waypoints
-from tools.sim import ceilings
+from tools.sim import ceilings, reporting
+from tools.sim.conditions import lens_of
 from tools.sim.world import World
 
 
@@ -148,3 +149,16 @@ def test_reset_forgets(room: Room) -> None:
     localizer.reset()
     estimate = localizer.update(Frame(90.0, np.zeros((480, 640), np.uint8)), Pose2D())
     assert estimate.confidence == 0.0
+
+
+def test_the_other_half_of_a_symmetric_room_is_not_mistaken_for_the_taught_one() -> None:
+    """Half a turn round the middle of this gallery all but the walls is the same."""
+    world = reporting.gallery(8)
+    camera = lens_of(world)
+    drive = waypoint_drive(world, seconds=120.0, half=0.9, seed=1, centre=(-0.9, 0.0))
+    half = train("half", drive.samples, camera, progress=lambda stage, share: None)
+    localizer, steps = Localizer(half, camera), waypoints(60.0, 0.7, np.random.default_rng(3))
+    truth = [Pose2D(pose.x + 1.3, pose.y, pose.yaw) for pose in steps]
+    estimates = follow(Room(world, drive.truth[0], half), localizer, truth, Pose2D())
+    assert max(estimate.score for estimate in estimates) > 0.65
+    assert max(estimate.confidence for estimate in estimates) < SURE
