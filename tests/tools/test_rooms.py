@@ -27,6 +27,8 @@ ROOMS = [
     reporting.attic,
     reporting.clinic,
     reporting.gallery,
+    reporting.workshop,
+    reporting.parlour,
 ]
 HALLS = [ceilings.hall, reporting.hall]
 PIXEL = 240.0 / math.radians(95.0)  # px a radian

@@ -138,6 +138,39 @@ def gallery(seed: int, light: str = "nominal") -> World:
     return build(Design(albedo, spots, interior, recesses=(replace(skylight, sky=1.1),)), seed, light)
 
 
+def workshop(seed: int, light: str = "nominal") -> World:
+    """High grey concrete with rows of long lamps, a crane's rail below it and two roof windows."""
+    rng = np.random.default_rng((seed, 19))
+    room = Room(8.0, 5.6, 3.6)
+    albedo = materials.concrete(rng, room)
+    rows = [(x, y) for x in (-2.9, -1.0, 1.0, 2.9) for y in (-1.8, 0.0, 1.8)]
+    lamps = [Lamp(x + rng.normal(0.0, 0.1), y, 1.4, 0.12) for x, y in rows]
+    chosen = [lamps[i] for i in sorted(rng.permutation(12)[:8])]
+    rail = _metalwork(rng, room, "x", [(float(rng.uniform(-1.2, 1.2)), 0.24, 0.55, 0.3)])
+    windows = [_recess((x, y, x + 0.8, y + 0.6), 0.25, 0.1, 0.6) for x, y in ((-2.0, -1.2), (1.3, 0.6))]
+    interior = furnished(rng, room, ("door", "lockers", "cupboard", "radiator", "shelf", "whiteboard"))
+    skylights = tuple(replace(window, sky=1.2) for window in windows)
+    return build(Design(albedo, chosen, interior, (rail,), recesses=skylights), seed, light)
+
+
+def parlour(seed: int, light: str = "nominal") -> World:
+    """White plaster with a frame and a rosette of stucco, a chandelier in its middle and lamps towards the corners."""
+    rng = np.random.default_rng((seed, 20))
+    room = Room(5.4, 4.8, 2.9)
+    albedo = materials.plaster(rng, room)
+    for inset, value in ((0.42, 0.6), (0.46, 0.85), (0.54, 0.6), (0.56, 0.8)):
+        paint.box(albedo, (inset, inset, room.width - inset, room.depth - inset), value)
+    x, y = room.width / 2 + rng.uniform(-0.3, 0.3), room.depth / 2 + rng.uniform(-0.3, 0.3)
+    for radius, value in ((0.75, 0.62), (0.7, 0.82), (0.5, 0.6), (0.46, 0.8)):
+        paint.disc(albedo, (x, y), radius, value)
+    corners = [
+        Lamp(i * 1.6 + rng.normal(0.0, 0.1), j * 1.3 + rng.normal(0.0, 0.1), 0.16) for i in (-1, 1) for j in (-1, 1)
+    ]
+    lamps = [Lamp(x - room.width / 2, y - room.depth / 2, 0.42), *corners]
+    interior = furnished(rng, room, ("door", "window", "curtains", "picture", "plant", "shelf"))
+    return build(Design(albedo, lamps, interior), seed, light)
+
+
 def hall(seed: int, light: str = "nominal") -> World:
     """12 x 12 m under a strictly periodic ceiling: identical tiles, and identical lamps every 1.8 m."""
     rng = np.random.default_rng((seed, 15))
