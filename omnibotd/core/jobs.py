@@ -12,7 +12,7 @@ from omnibotd.core.docking.states import State
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import STOP, Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
-from omnibotd.core.navigation.certainty import Certainty
+from omnibotd.core.navigation.certainty import SURE, Certainty
 from omnibotd.core.navigation.goal_filter import GoalFilter
 from omnibotd.core.navigation.planning import roads_of
 from omnibotd.core.navigation.report import report
@@ -23,9 +23,16 @@ from omnibotd.core.safety import Limits
 _STAGING_FAILURES = {ErrorName.LOST, ErrorName.BLOCKED, ErrorName.NO_ROUTE, ErrorName.TIMEOUT}
 # How a look at the dock from where the robot stands may end without ending the trip.
 _NOT_THERE = {None, ErrorName.NOT_DOCKED, ErrorName.FAILED_TO_DETECT_DOCK}
-# Failures of docking after which another way there may well succeed.
-_OTHERWISE = {ErrorName.FAILED_TO_DETECT_DOCK, ErrorName.FAILED_TO_CONTROL, ErrorName.TIMEOUT}
+# Failures after which another way there may well succeed.
+_OTHERWISE = {
+    ErrorName.FAILED_TO_STAGE,
+    ErrorName.FAILED_TO_DETECT_DOCK,
+    ErrorName.FAILED_TO_CONTROL,
+    ErrorName.TIMEOUT,
+}
 _ABOUT_TO_SEARCH = Outcome(ErrorName.LOST, "not recognised from here")
+# Metres of odometry since it was sure for which the map's word is still good for where to look for the dock.
+_KNOWN_FOR = 2.0
 # So near (m) the dock itself is what the range sensor sees ahead.
 _CONTACT_WITHIN = 0.3
 
@@ -69,12 +76,15 @@ class DockingTrip:
         self._first: Job | None = trip()
         self._trip, self._dock, self._glance, self._trips = trip, dock, glance, trips
         self._seen: Observation | None = None
+        self._placed: Observation | None = None  # when the map was sure last
         self._course = self._run()
         self._part, self._job = next(self._course)
 
     def step(self, seen: Observation) -> Decision:
         """One tick."""
         self._seen = seen
+        if seen.place is not None and seen.place.confidence >= SURE:
+            self._placed = seen
         decision = self._shown(self._job.step(seen))
         if decision.outcome is None:
             return decision
@@ -117,7 +127,7 @@ class DockingTrip:
         navigator, self._first = self._first or self._trip(), None
         staged = yield _Part.TRIP, navigator
         if staged is _ABOUT_TO_SEARCH:
-            docked = yield _Part.DOCK, self._dock(None)
+            docked = yield _Part.DOCK, self._dock(self._known())
             if docked.error not in _OTHERWISE:
                 return docked
             staged = yield _Part.SEARCH, navigator
@@ -129,8 +139,15 @@ class DockingTrip:
         unstaged = Outcome(ErrorName.FAILED_TO_STAGE, message, staged.report)
         if staged.error is not ErrorName.LOST:
             return unstaged
-        docked = yield _Part.DOCK, self._dock(None)
+        docked = yield _Part.DOCK, self._dock(self._known())
         return unstaged if docked.error is ErrorName.FAILED_TO_DETECT_DOCK else docked
+
+    def _known(self) -> Observation | None:
+        """What is seen, where the map was sure of its pose on this trip and not long ago."""
+        if self._seen is None or self._placed is None:
+            return None
+        way = self._placed.odom_from_base.distance(self._seen.odom_from_base)
+        return self._seen if way < _KNOWN_FOR else None
 
 
 class Relocalisation:

@@ -116,6 +116,24 @@ def test_a_search_in_vain_ends_in_failed_to_stage_and_says_why() -> None:
     )
 
 
+@pytest.mark.parametrize(("way", "by_the_map"), [(0.5, True), (3.0, False)])
+def test_it_looks_where_the_map_was_sure_a_moment_ago(way: float, by_the_map: bool) -> None:
+    sure = PlaceEstimate(0.0, Pose2D(), Pose2D(), 0.95, 0.02, 0.5, 0.2, 3)
+    here = replace(SEEN, odom_from_base=Pose2D(way, 0.0))
+    staged: list[Observation | None] = []
+    trip = DockingTrip(lambda: Scripted(failed(ErrorName.LOST)), lambda seen: staged.append(seen) or Scripted(DONE))
+    for seen in (replace(SEEN, place=sure), here, here):
+        trip.step(seen)
+    assert staged == [here if by_the_map else None]
+
+
+def test_a_trip_that_ended_lost_is_made_once_more() -> None:
+    ends_of = iter([failed(ErrorName.LOST), DONE])
+    dockers = iter([Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK)), Scripted(DONE)])
+    trip = DockingTrip(lambda: Scripted(next(ends_of)), lambda staged: next(dockers), trips=2)
+    assert ends(trip)[-1].outcome == DONE
+
+
 @pytest.mark.parametrize(
     ("error", "trips"),
     [
