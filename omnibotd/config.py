@@ -30,7 +30,7 @@ __all__ = [
 BASE_DRIVERS = ("omnibot", "create2", "arduino_bridge")
 PRESETS = ("default", "thesis")
 HEADINGS = ("wheels", "compass", "fused")
-COMPASSES = ("registration", "two_point", "image_flow", "labrosse")
+COMPASSES = ("tracker", "registration", "two_point", "image_flow", "labrosse")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,14 +186,14 @@ class OdometryConfig:
 
     heading: str = option(
         "What tells how far it has turned. compass: what is overhead, the wheels only where that shows nothing. "
-        "fused: both; with compass registration the position, too.",
+        "fused: both; with compass tracker the position, too.",
         "wheels",
         choices=HEADINGS,
     )
     compass: str = option(
-        "How views of what is overhead are compared, where heading is not wheels. registration: with key views; the "
-        "others are the thesis' methods, frame with frame.",
-        "registration",
+        "How views of what is overhead are compared, where heading is not wheels. tracker: with key views, learning how "
+        "near things are; registration: as for docking; the others are the thesis' methods, frame with frame.",
+        "tracker",
         choices=COMPASSES,
     )
 

@@ -37,7 +37,7 @@ _TABLES_3_4 = {
 _DRIFTS = {**dict.fromkeys(CEILINGS, 0.0005), "plain": 0.0012}  # rad/s
 _PMCC = 0.995
 _FOLLOWS = 2.0  # degrees, median
-_COLOURS = ("#c8352f", "#d99a1c", "#2a7fa5", "#8a8a8a", "#2f8f4e")
+_COLOURS = ("#c8352f", "#d99a1c", "#2a7fa5", "#8a8a8a", "#2f8f4e", "#6b4ba1")
 
 _ROOM = "a room of 6 x 6 m, its walls furnished, in place of the POV-Ray scene, of which nothing is printed"
 _DRIVES = (
@@ -234,8 +234,8 @@ def _draw_bars(column: str, label: str) -> Callable[[Mapping[str, Any], Figure],
         for place, (method, colour) in enumerate(zip(methods, _COLOURS, strict=False)):
             for number, group in enumerate(groups.values()):
                 values = group[column].get(method, [])
-                at = number + 0.16 * (place - 2)
-                axes.bar(at, np.median(np.abs(values)) if values else 0.0, 0.15, color=colour)
+                at = number + 0.14 * (place - 2.5)
+                axes.bar(at, np.median(np.abs(values)) if values else 0.0, 0.13, color=colour)
                 axes.plot([at] * len(values), np.abs(values), ".", color="black", ms=3)
             axes.bar(0, 0, color=colour, label=method)
         axes.set(yscale="log", ylabel=label, xticks=range(len(groups)), xticklabels=list(groups))

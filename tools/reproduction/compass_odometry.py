@@ -56,8 +56,9 @@ FAULTS = {
 FAULTY = ("tiles", "plain")  # ceilings under which faults are tried, on the first seed
 # (heading, compass) as configured; the wheels alone are in every row.
 WAYS = {
-    "fused": ("fused", "registration"),
-    "compass": ("compass", "registration"),
+    "fused": ("fused", "tracker"),
+    "compass": ("compass", "tracker"),
+    "registration, compass": ("compass", "registration"),
     "Labrosse, compass": ("compass", "labrosse"),
     "Labrosse, fused": ("fused", "labrosse"),
 }
@@ -195,8 +196,8 @@ def _draw(data: Mapping[str, Any], figure: Figure) -> None:
     drifts = data["drifts"]
     ways = list(next(iter(drifts.values())))
     for place, way in enumerate(ways):
-        at = np.arange(len(drifts)) + 0.16 * (place - len(ways) / 2.0)
-        axes.bar(at, [100.0 * np.mean([d[0] for d in ceiling[way]]) for ceiling in drifts.values()], 0.15, label=way)
+        at = np.arange(len(drifts)) + 0.14 * (place - len(ways) / 2.0)
+        axes.bar(at, [100.0 * np.mean([d[0] for d in ceiling[way]]) for ceiling in drifts.values()], 0.13, label=way)
     axes.axhline(100.0 * LIMIT, color="black", lw=0.8, ls=":")
     axes.set(yscale="log", ylabel="error over 5 m (% of the way)")
     names = [name.replace(", ", ",\n", 1) for name in drifts]

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from omnibotd.core.compass.ceiling_tracker import CeilingTracker
 from omnibotd.core.compass.image_flow import ImageFlow
 from omnibotd.core.compass.labrosse import Labrosse, ReferenceLabrosse
+from omnibotd.core.compass.registered import Registered
 from omnibotd.core.compass.round_view import Levelling, RoundView
 from omnibotd.core.compass.turn import Compass
 from omnibotd.core.compass.two_point import TwoPointFlow
-from omnibotd.core.docking.registration import CeilingRegistration
-from omnibotd.core.geometry import Pose2D
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Frame
 from tools.real_frames import DATA
@@ -55,7 +54,6 @@ REAL = (0.3, math.radians(28.0))  # m/s (§4.4.2), and what turns by the printed
 TEXTURED = 70  # frames of the real run until there was no texture
 _LENS = CameraModel.equidistant(640, 480, math.radians(190.0))
 _REDUCTION = 2  # of the fisheye's pictures, as for the tracker
-_KEY_FRAME = 5  # registration is against every fifth frame: farther it reaches too, but nearer it is surer
 
 
 @cache
@@ -72,7 +70,7 @@ def stand_in(quick: bool) -> Runs:
 
 @cache
 def under(quick: bool) -> dict[str, Runs]:
-    """Under ceilings: the thesis' three and the tracker on the same frames; without the photographs where not here."""
+    """Under ceilings: the thesis' three and ours on the same frames; without the photographs where not here."""
     found = {}
     for name in ["plain"] if quick else CEILINGS:
         try:
@@ -105,7 +103,9 @@ def followed(quick: bool) -> Followed | None:
     headings[OURS] = _tracked(frames, film.camera, film.height)
     headings[REGISTRATION] = _registered(frames, film.camera)
     # Backwards the same frames are another drive.
-    headings[f"{OURS}, backwards"] = true[-1] + _tracked(frames[::-1], film.camera, film.height)[::-1]
+    backwards = frames[::-1]
+    headings[f"{OURS}, backwards"] = true[-1] + _tracked(backwards, film.camera, film.height)[::-1]
+    headings[f"{REGISTRATION}, backwards"] = true[-1] + _registered(backwards, film.camera)[::-1]
     return Followed({name: np.degrees(heading - true) for name, heading in headings.items()})
 
 
@@ -133,6 +133,7 @@ def _under(name: str, seed: int, frames: int) -> dict[str, Score]:
     seen, levelled = overhead(world, driven), Levelling(_LENS, _REDUCTION)
     scores = _compared(driven, [levelled(frame) for frame in seen])
     scores[OURS] = Score.of(driven.turns, np.diff(_tracked(seen, _LENS, world.room.rise)), 0)
+    scores[REGISTRATION] = Score.of(driven.turns, np.diff(_registered(seen, _LENS)), 0)
     return scores
 
 
@@ -158,11 +159,5 @@ def _tracked(frames: Sequence[Frame], camera: CameraModel, height: float) -> Flo
 
 def _registered(frames: Sequence[Frame], camera: CameraModel) -> Floats:
     """Heading (n,) by what docking registers ceilings with, not wrapped."""
-    headings, key, step = [0.0], 0.0, Pose2D()
-    registration = CeilingRegistration(camera, frames[0], reach=0.5)
-    for number, frame in enumerate(frames[1:], 1):
-        step = registration.track(frame, step).pose
-        headings.append(key + step.yaw)
-        if number % _KEY_FRAME == 0:
-            registration, key, step = CeilingRegistration(camera, frame, reach=0.5), headings[-1], Pose2D()
-    return np.unwrap(headings)
+    compass = Registered(camera)
+    return np.cumsum([compass.turn(frame).angle for frame in frames])

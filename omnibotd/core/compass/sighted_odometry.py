@@ -9,6 +9,7 @@ from omnibotd.core.compass.ceiling_tracker import CeilingTracker
 from omnibotd.core.compass.ego_motion import EgoMotion, wheel_step
 from omnibotd.core.compass.image_flow import ImageFlow
 from omnibotd.core.compass.labrosse import Labrosse
+from omnibotd.core.compass.registered import Registered
 from omnibotd.core.compass.round_view import Levelling, RoundView
 from omnibotd.core.compass.turn import NO_TURN, Compass, Turn
 from omnibotd.core.compass.two_point import TwoPointFlow
@@ -23,6 +24,7 @@ _COMPASSES: dict[str, tuple[type[Compass], float]] = {
     "image_flow": (ImageFlow, 0.006),
     "labrosse": (Labrosse, 0.002),
 }
+_REGISTRATION_SPREAD = 0.001  # rad, the same for the registration of docking
 # Turns that differ by so many standard deviations are no two measurements of one: sight saw something else.
 _APART = 4.0
 # How many times smaller than its frames a picture is that the compasses of the thesis look at.
@@ -139,12 +141,15 @@ class Tracking:
 
 
 def sight(heading: str, compass: str, camera: CameraModel, height: float, height_error: float) -> Sight:
-    """By the names in the configuration: heading `compass` or `fused`; compass `registration` or one of the thesis'.
+    """By the names in the configuration: heading `compass` or `fused`; compass `tracker`, `registration` or one of the
+    thesis'.
 
     `height`: m from camera to ceiling, which may be wrong by the share `height_error`.
     """
-    if compass == "registration":
-        fused = heading == "fused"
+    fused = heading == "fused"
+    if compass == "tracker":
         return WholePose(camera, height, height_error) if fused else HeadingOnly(Tracking(camera, height))
+    if compass == "registration":
+        return HeadingOnly(Registered(camera), _REGISTRATION_SPREAD if fused else None)
     make, spread = _COMPASSES[compass]
-    return HeadingOnly(TwoFrames(camera, make()), spread if heading == "fused" else None)
+    return HeadingOnly(TwoFrames(camera, make()), spread if fused else None)

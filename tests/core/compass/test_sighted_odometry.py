@@ -82,11 +82,11 @@ def test_fused_lies_between_the_two_unless_they_contradict(seen: float, low: flo
 
 
 @pytest.mark.parametrize("heading", ["compass", "fused"])
-@pytest.mark.parametrize("compass", ["registration", "two_point", "image_flow", "labrosse"])
+@pytest.mark.parametrize("compass", ["tracker", "registration", "two_point", "image_flow", "labrosse"])
 def test_all_that_can_be_configured_follows_a_slow_turn(heading: str, compass: str) -> None:
     """Wheels that tell only of two thirds of a turn of 0.012 rad a frame, and are weighed where fused."""
     found = follow_turn(sight(heading, compass, CAMERA, 2.2, 0.1), 8)
-    weighed = heading == "fused" and compass != "registration"
+    weighed = heading == "fused" and compass not in ("tracker", "registration")
     assert 7 * (0.0079 if weighed else 0.0100) < found < 7 * 0.0135
 
 
