@@ -191,8 +191,8 @@ class OdometryConfig:
         choices=HEADINGS,
     )
     compass: str = option(
-        "How views of what is overhead are compared, where heading is not wheels. tracker: with key views, learning how "
-        "near things are; registration: as for docking; the others are the thesis' methods, frame with frame.",
+        "How views of what is overhead are compared, where heading is not wheels. tracker: with key views, learning "
+        "how near things are; registration: as for docking; the others are the thesis' methods, frame with frame.",
         "tracker",
         choices=COMPASSES,
     )

@@ -17,6 +17,9 @@ _SURPASSING = 0.2
 # another light, but not at the walls. So the rim must fit, from and up to these correlations, unless the whole fits to
 # within so much of what is expected: furniture is moved, and people stand about.
 _RIM_FITS, _WHOLE_FITS = (0.35, 0.6), (0.12, 0.04)
+# Where lamps are all alike the whole fits under each of them, and the rim half: by so much more it must fit there. Of
+# rendered halls the right one's correlates at 0.75 or more, others' at 0.64 at most.
+_RIM_UNLIKE = (0.25, 0.15)
 # A rim that fits so well is as good as a clear lead, also where one lamp is like the next.
 _RIM_LEADS = (0.65, 0.85)
 # Share of the way from the look-alikes' level to a perfect match at which a match can be no look-alike.
@@ -54,6 +57,7 @@ class Trust:
         self.value = 0.0
         self.broken = False  # the view changed at once and has fitted nothing since: covered, or carried away
         self._chance = chance
+        self._repetitive = ramp(chance, *_REPETITIVE)
         self.light = Illumination(chance)
         self._anew = 0.0  # trust earned since the view broke off
         self._fresh = True
@@ -87,7 +91,8 @@ class Trust:
         sight = replace(sight, score=sight.score / self.light.share, elsewhere=sight.elsewhere / self.light.share)
         no_better = min(self._chance, expected - _SURPASSING)
         fit = ramp(sight.score, max(expected - _TOO_LOW, no_better, 0.3), max(expected - _SLACK, 0.5))
-        fit *= max(sight.at_rim(*_RIM_FITS, unseen=1.0), whole)
+        low, high = (limit + self._repetitive * more for limit, more in zip(_RIM_FITS, _RIM_UNLIKE, strict=True))
+        fit *= max(sight.at_rim(low, high, unseen=1.0), whole * (1.0 - self._repetitive))
         distinct = ramp(sight.score, self._chance, self._chance + _DISTINCT * (1.0 - self._chance))
         lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD) * distinct
         lead = max(lead, sight.at_rim(*_RIM_LEADS, unseen=0.0))

@@ -176,6 +176,14 @@ def test_walls_tell_identical_lamps_apart() -> None:
     assert unseen.value < 0.5
 
 
+def test_under_the_wrong_one_of_identical_lamps_the_whole_fits_and_is_not_believed() -> None:
+    """Measured in halls: there the walls correlate at 0.64 at most."""
+    trust = Trust(0.85)
+    for _ in range(400):
+        trust.update(replace(GOOD, score=0.86, elsewhere=0.79, rim=0.6))
+    assert trust.value < 0.05
+
+
 def test_when_the_lamps_come_on_again_the_dark_is_forgotten() -> None:
     trust = Trust(CHANCE)
     for _ in range(200):
