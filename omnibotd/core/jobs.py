@@ -21,6 +21,8 @@ from omnibotd.core.safety import Limits
 
 # Failures of the trip to the staging pose that are its own; a dead base is no staging trouble and keeps its name.
 _STAGING_FAILURES = {ErrorName.LOST, ErrorName.BLOCKED, ErrorName.NO_ROUTE, ErrorName.TIMEOUT}
+# Those of them after which the dock may be in sight: no way over the taught floor leads there, but it is near.
+_STILL_IN_SIGHT = {ErrorName.LOST, ErrorName.TIMEOUT}
 # How a look at the dock from where the robot stands may end without ending the trip.
 _NOT_THERE = {None, ErrorName.NOT_DOCKED, ErrorName.FAILED_TO_DETECT_DOCK}
 # Failures after which another way there may well succeed.
@@ -137,7 +139,7 @@ class DockingTrip:
             return staged
         message = f"did not reach the staging pose: {staged.error}, {staged.message}"
         unstaged = Outcome(ErrorName.FAILED_TO_STAGE, message, staged.report)
-        if staged.error is not ErrorName.LOST:
+        if staged.error not in _STILL_IN_SIGHT:
             return unstaged
         docked = yield _Part.DOCK, self._dock(self._known())
         return unstaged if docked.error is ErrorName.FAILED_TO_DETECT_DOCK else docked
