@@ -128,24 +128,28 @@ def _rankings(runs: Runs) -> tuple[Check, ...]:
 def _correlations(quick: bool) -> tuple[Check, ...]:
     checks = []
     for ceiling, runs in under(quick).items():
-        worst = min(score.pmcc for score in runs[OURS])
-        checks.append(Check(f"our best, {ceiling}: PMCC >= {_PMCC}", f"{worst:.4f} (worst drive)", worst >= _PMCC))
-        checks.append(_beaten(f"our best, {ceiling}: sigma below all three on the same frames", runs, "sigma"))
+        for ours in (REGISTRATION, OURS):
+            median, worst = _median(runs[ours], "pmcc"), min(score.pmcc for score in runs[ours])
+            found = f"{median:.4f}, worst drive {worst:.4f}"
+            checks.append(Check(f"{ours}, {ceiling}: PMCC >= {_PMCC}, median of three drives", found, median >= _PMCC))
+            checks.append(_beaten(f"{ours}, {ceiling}: sigma below all three on the same frames", runs, ours, "sigma"))
     return tuple(checks)
 
 
-def _beaten(wanted: str, runs: Runs, column: str) -> Check:
-    ours, best = _median(runs[OURS], column), min(_median(runs[method], column) for method in THESIS)
-    return Check(wanted, f"{ours:.5f} against {best:.5f}", ours < best)
+def _beaten(wanted: str, runs: Runs, ours: str, column: str) -> Check:
+    found, best = _median(runs[ours], column), min(_median(runs[method], column) for method in THESIS)
+    return Check(wanted, f"{found:.5f} against {best:.5f}", found < best)
 
 
 def _table_2(quick: bool) -> Outcome:
     runs, columns = simulated(quick), (("drift", "{:+.4f}"),)
     checks = []
     for ceiling, overhead in under(quick).items():
-        ours, limit = _median(overhead[OURS], "drift"), _DRIFTS[ceiling]
-        checks.append(Check(f"our best, {ceiling}: drift <= {limit} rad/s", f"{ours:.5f}", ours <= limit))
-        checks.append(_beaten(f"our best, {ceiling}: drift below all three on the same frames", overhead, "drift"))
+        for ours in (REGISTRATION, OURS):
+            drift, limit = _median(overhead[ours], "drift"), _DRIFTS[ceiling]
+            checks.append(Check(f"{ours}, {ceiling}: drift <= {limit} rad/s", f"{drift:.5f}", drift <= limit))
+            wanted = f"{ours}, {ceiling}: drift below all three on the same frames"
+            checks.append(_beaten(wanted, overhead, ours, "drift"))
     rows = (*_table(_TABLES_1_2, runs, columns), *_overhead_rows(quick, (("drift", "{:+.5f}"),)))
     return Outcome(rows, tuple(checks), _everywhere(quick))
 
