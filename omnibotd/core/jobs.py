@@ -33,8 +33,8 @@ _OTHERWISE = {
     ErrorName.TIMEOUT,
 }
 _ABOUT_TO_SEARCH = Outcome(ErrorName.LOST, "not recognised from here")
-# Metres of odometry since it was sure for which the map's word is still good for where to look for the dock.
-_KNOWN_FOR = 2.0
+# No farther (m) by odometry from where the map was sure last, its word still says where to look for the dock.
+_KNOWN_WITHIN = 2.0
 # So near (m) the dock itself is what the range sensor sees ahead.
 _CONTACT_WITHIN = 0.3
 
@@ -128,7 +128,8 @@ class DockingTrip:
         """One trip to the staging pose, and a docking from there."""
         navigator, self._first = self._first or self._trip(), None
         staged = yield _Part.TRIP, navigator
-        if staged is _ABOUT_TO_SEARCH:
+        looked = staged is _ABOUT_TO_SEARCH
+        if looked:
             docked = yield _Part.DOCK, self._dock(self._known())
             if docked.error not in _OTHERWISE:
                 return docked
@@ -141,7 +142,8 @@ class DockingTrip:
         unstaged = Outcome(ErrorName.FAILED_TO_STAGE, message, staged.report)
         if staged.error not in _STILL_IN_SIGHT:
             return unstaged
-        docked = yield _Part.DOCK, self._dock(self._known())
+        # The map's word is wrong for a robot that was carried: a second look does without.
+        docked = yield _Part.DOCK, self._dock(None if looked else self._known())
         return unstaged if docked.error is ErrorName.FAILED_TO_DETECT_DOCK else docked
 
     def _known(self) -> Observation | None:
@@ -149,7 +151,7 @@ class DockingTrip:
         if self._seen is None or self._placed is None:
             return None
         way = self._placed.odom_from_base.distance(self._seen.odom_from_base)
-        return self._seen if way < _KNOWN_FOR else None
+        return self._seen if way < _KNOWN_WITHIN else None
 
 
 class Relocalisation:

@@ -127,6 +127,22 @@ def test_it_looks_where_the_map_was_sure_a_moment_ago(way: float, by_the_map: bo
     assert staged == [here if by_the_map else None]
 
 
+def test_a_second_look_does_without_the_maps_word() -> None:
+    """It is wrong for a robot that was carried."""
+    sure = PlaceEstimate(0.0, Pose2D(), Pose2D(), 0.95, 0.02, 0.5, 0.2, 3)
+    seen, staged = replace(SEEN, place=sure), list[Observation | None]()
+    navigator = Scripted(failed(ErrorName.LOST), Decision("SEARCHING", Twist2D(0.1, 0.0)))
+
+    def dock(known: Observation | None) -> Scripted:
+        staged.append(known)
+        return Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK))
+
+    trip = DockingTrip(lambda: navigator, dock)
+    while trip.step(seen).outcome is None:
+        assert len(staged) < 3
+    assert staged == [seen, None]
+
+
 def test_a_trip_that_ended_lost_is_made_once_more() -> None:
     ends_of = iter([failed(ErrorName.LOST), DONE])
     dockers = iter([Scripted(failed(ErrorName.FAILED_TO_DETECT_DOCK)), Scripted(DONE)])

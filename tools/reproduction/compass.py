@@ -129,9 +129,8 @@ def _correlations(quick: bool) -> tuple[Check, ...]:
     checks = []
     for ceiling, runs in under(quick).items():
         for ours in (REGISTRATION, OURS):
-            median, worst = _median(runs[ours], "pmcc"), min(score.pmcc for score in runs[ours])
-            found = f"{median:.4f}, worst drive {worst:.4f}"
-            checks.append(Check(f"{ours}, {ceiling}: PMCC >= {_PMCC}, median of three drives", found, median >= _PMCC))
+            worst = min(score.pmcc for score in runs[ours])
+            checks.append(Check(f"{ours}, {ceiling}: PMCC >= {_PMCC}", f"{worst:.4f} (worst drive)", worst >= _PMCC))
             checks.append(_beaten(f"{ours}, {ceiling}: sigma below all three on the same frames", runs, ours, "sigma"))
     return tuple(checks)
 

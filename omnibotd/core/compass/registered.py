@@ -19,8 +19,7 @@ from omnibotd.core.vision.frame import Frame
 _APART, _TURNED = 0.2, 0.5
 # From this correlation on a frame is recognised; after so many in a row that are not, a new key view is begun.
 _RECOGNISED, _PATIENCE = 0.4, 3
-# No search from nothing is ever made: its reach (heights) is the least there is.
-_REACH = 0.5
+_REACH = 0.5  # heights; of a search from nothing, which is never made
 
 
 class Registered:

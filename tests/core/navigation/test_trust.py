@@ -134,54 +134,43 @@ def test_a_pose_that_does_not_follow_odometry_teaches_no_darker_light() -> None:
     assert trust.value < 0.3
 
 
+def after(frames: int, sight: Sight, chance: float = CHANCE) -> float:
+    """The trust that so many frames alike have earned."""
+    trust = Trust(chance)
+    for _ in range(frames):
+        trust.update(sight)
+    return trust.value
+
+
 def test_walls_that_fit_teach_another_light_where_a_small_lead_alone_does_not() -> None:
     """Lamps off in the same office: walls correlate at 0.6 to 0.85; 2.5 m."""
     dim = replace(GOOD, score=0.4, elsewhere=0.26, moved=0.03)
-    seen, unseen = Trust(CHANCE), Trust(CHANCE)
-    for _ in range(80):
-        seen.update(replace(dim, rim=0.75))
-        unseen.update(dim)
-    assert seen.value > 0.9
-    assert unseen.value < 0.1
+    assert after(80, replace(dim, rim=0.75)) > 0.9
+    assert after(80, dim) < 0.1
 
 
 def test_a_ceiling_that_fits_without_its_walls_is_another_half_of_the_room() -> None:
     """Measured half a turn round in a gallery of which one half was taught: 0.7, where 0.87 is expected."""
     alike = replace(GOOD, score=0.7, elsewhere=0.55)
-    trust = Trust(CHANCE)
-    for _ in range(400):
-        trust.update(replace(alike, rim=0.05))
-    assert trust.value < 0.05
-    for _ in range(400):
-        trust.update(replace(alike, rim=0.75))
-    assert trust.value > 0.9
+    assert after(400, replace(alike, rim=0.05)) < 0.05
+    assert after(400, replace(alike, rim=0.75)) > 0.9
 
 
 def test_a_whole_that_fits_needs_no_walls() -> None:
     """A cupboard was moved, people stand all around."""
-    trust = Trust(CHANCE)
-    for _ in range(60):
-        trust.update(replace(GOOD, rim=0.2))
-    assert trust.value > 0.9
+    assert after(60, replace(GOOD, rim=0.2)) > 0.9
 
 
 def test_walls_tell_identical_lamps_apart() -> None:
     """Measured in a hall of lamps every 1.8 m: under the right one the walls correlate at 0.86, under others at 0.5."""
     hall = replace(GOOD, score=0.88, elsewhere=0.82)
-    seen, unseen = Trust(0.81), Trust(0.81)
-    for _ in range(8):
-        seen.update(replace(hall, rim=0.86))
-        unseen.update(hall)
-    assert seen.value > 0.9
-    assert unseen.value < 0.5
+    assert after(8, replace(hall, rim=0.86), 0.81) > 0.9
+    assert after(8, hall, 0.81) < 0.5
 
 
 def test_under_the_wrong_one_of_identical_lamps_the_whole_fits_and_is_not_believed() -> None:
     """Measured in halls: there the walls correlate at 0.64 at most."""
-    trust = Trust(0.85)
-    for _ in range(400):
-        trust.update(replace(GOOD, score=0.86, elsewhere=0.79, rim=0.6))
-    assert trust.value < 0.05
+    assert after(400, replace(GOOD, score=0.86, elsewhere=0.79, rim=0.6), 0.85) < 0.05
 
 
 def test_when_the_lamps_come_on_again_the_dark_is_forgotten() -> None:
