@@ -242,7 +242,7 @@ def _draw_bars(column: str, label: str) -> Callable[[Mapping[str, Any], Figure],
                 axes.plot([at] * len(values), np.abs(values), ".", color="black", ms=3)
             axes.bar(0, 0, color=colour, label=method)
         axes.set(yscale="log", ylabel=label, xticks=range(len(groups)), xticklabels=list(groups))
-        figure.legend(frameon=False, fontsize=7, ncols=len(methods), loc="outside upper center")
+        figure.legend(frameon=False, fontsize=7, ncols=3, loc="outside upper center")
 
     return draw
 
