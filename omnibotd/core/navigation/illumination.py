@@ -1,6 +1,6 @@
 """What another light leaves of the likeness of a right pose: learnt over metres on which nothing else comes near.
 
-By night a right pose correlates at 0.4 to 0.7, and everything else far less. A room seen from outside the map, half a
+By night a right pose correlates at 0.35 to 0.7, and everything else far less. A room seen from outside the map, half a
 turn round, correlates at 0.5 to 0.7 too; but there something else comes near, or the pose does not follow odometry.
 """
 
@@ -11,7 +11,7 @@ import math
 from omnibotd.core.navigation.sight import Sight, covered, ramp
 
 # The share is never taken for less; metres to learn that it is less, and more.
-_DARKEST, _DARKER, _BRIGHTER = 0.5, 0.5, 0.3
+_DARKEST, _DARKER, _BRIGHTER = 0.4, 0.5, 0.3
 # Lead over everything elsewhere, as a share of the score and on the average of so many metres, that teaches not at all
 # and fully where look-alikes score 0.5; where they score more, it must be more by this factor.
 _LEADING, _LEADING_LENGTH, _REPETITIVE = (0.36, 0.46), 0.7, 1.5
@@ -20,6 +20,8 @@ _SECONDED, _RIM = (0.15, 0.3), (0.5, 0.65)
 # Root of the squared corrections (m) of the last decimetres, up to which and from which a pose does not follow odometry
 # (a right one makes 0.005 in a metre, a wrong one 0.01 to 0.2); what wheels off by so much explain is no correction.
 _FOLLOWING, _FOLLOWING_LENGTH, _WHEELS_OFF = (0.04, 0.06), 0.35, 0.1
+# Loss of likeness from which, and from which fully, look-alikes are what came near in this light, and so much more.
+_ANOTHER_LIGHT, _LOOK_ALIKES = (0.2, 0.4), 0.1
 
 
 class Illumination:
@@ -35,6 +37,12 @@ class Illumination:
     def start_again(self) -> None:
         """Another pose is tracked from now on."""
         self._lead, self._squares = 0.0, _FOLLOWING[1] ** 2
+
+    def chance(self, taught: float, score: float) -> float:
+        """The score that look-alikes reach in this light, where they reached `taught` while it was taught and the
+        tracked pose has `score` now, both as in that light: lamps that are off make no places look alike."""
+        left = min(taught, score * (1.0 - self._lead) + _LOOK_ALIKES)
+        return taught + (left - taught) * ramp(1.0 - self.share, *_ANOTHER_LIGHT)
 
     def doubt(self, kept: float) -> None:
         """The tracked pose may have been wrong, and what was learnt with it."""

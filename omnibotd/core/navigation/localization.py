@@ -1,7 +1,8 @@
 """Localisation: a frame and odometry in, a pose in the map and the belief in it out (thesis §6.3.2, and more).
 
-view -> spectrum -> SOM buckets -> 20 candidates (60 in doubt) and the nodes near the likeliest poses -> circular
-correlation -> hypotheses carried by odometry -> regression of the likeliest -> trust -> confidence.
+view -> spectrum -> SOM buckets -> 20 candidates (in doubt 60, and the next 60 of all nodes) and the nodes near the
+likeliest poses -> circular correlation -> hypotheses carried by odometry -> regression of the likeliest -> trust ->
+confidence.
 """
 
 from __future__ import annotations
@@ -43,8 +44,11 @@ _UNKNOWN_WORSE = 0.005
 _RIVALS, _HOPELESS = 4, -7.0
 # Correlation with the predicted view from which, and up to which, a registration is taken for what it says of itself.
 _FIRM = (0.7, 0.9)
-# Nodes looked up by their spectra, 20 us each: while sure, and while trust is below _DOUBT.
+# Nodes looked up by their spectra, 20 us each: while sure, and while trust is below _DOUBT. As many more are then taken
+# in turn, for in another light spectra change more than views do.
 _TRACKING, _SEARCHING, _DOUBT = 20, 60, 0.5
+# Trust from which a pose may be carried where no node is near to speak against it.
+_EARNED = 0.05
 # Nodes round the likeliest poses are always compared, whatever the SOM says: tracking survives a change of light.
 _TRACKED, _LOCAL, _LOCAL_RADIUS = 3, 5, 0.4
 # Frames this near together (m) show nearly the same, turned as odometry says (rad); correlating less, or at another
@@ -151,6 +155,7 @@ class Localizer:
         self._rest: _Rest | None = None
         self._latest: PlaceEstimate | None = None
         self._tracked: Pose2D | None = None
+        self._next_node = 0
 
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. FrameError where the frame can't be used."""
@@ -193,12 +198,19 @@ class Localizer:
         """By looks, through the SOM; and round the likeliest poses."""
         likeliest = self._hypotheses.poses[:_TRACKED, :2]
         tracked = [self._index.near(float(x), float(y), _LOCAL_RADIUS, _LOCAL) for x, y in likeliest]
-        count = _SEARCHING if self._trust.value < _DOUBT else _TRACKING
-        nodes = np.unique(np.concatenate([self._index.alike(Descriptor.spectrum(view), count), *tracked]))
+        doubt = self._trust.value < _DOUBT
+        alike = self._index.alike(Descriptor.spectrum(view), _SEARCHING if doubt else _TRACKING)
+        nodes = np.unique(np.concatenate([alike, *tracked, *([self._in_turn()] if doubt else [])]))
         headings, scores = self._index.compare(query, nodes)
         order = np.argsort(-scores, kind="stable")
         poses = np.column_stack([self._index.poses[nodes, :2], headings]).astype(np.float64)
         return _Candidates(poses[order], scores[order].astype(np.float64), nodes[order])
+
+    def _in_turn(self) -> NDArray[np.intp]:
+        """The next _SEARCHING of all nodes."""
+        nodes = (self._next_node + np.arange(_SEARCHING)) % len(self._index.poses)
+        self._next_node = int(nodes[-1]) + 1
+        return nodes
 
     def _weigh(self, seen: _Candidates, evidence: float, continues: bool) -> None:
         """Judge the hypotheses by the candidates, and add new ones."""
@@ -210,10 +222,14 @@ class Localizer:
         self._hypotheses.propose(seen.poses[worthy], scores, self._node_sigma(scores))
 
     def _allowance(self) -> Floats:
-        """(H,) correlation that each hypothesis loses to the distance of its nearest node."""
+        """(H,) correlation that each hypothesis loses to the distance of its nearest node; one that was never trusted
+        is not spared for having left the map."""
         places = [(float(x), float(y)) for x, y in self._hypotheses.poses[:, :2]]
         distances = np.array([self._index.distance(x, y, _LOCAL_RADIUS) for x, y in places])
-        return np.minimum(distances / (_USUAL_SHARE * self._likeness.reach), _MOST_ALLOWED)
+        allowance = np.minimum(distances / (_USUAL_SHARE * self._likeness.reach), _MOST_ALLOWED)
+        if self._trust.value < _EARNED:
+            allowance[distances >= _LOCAL_RADIUS] = 0.0
+        return allowance
 
     def _fit(self, view: View, seen: _Candidates, evidence: float) -> _Fit:
         """Register the likeliest hypotheses, reweigh them by how each fits, and give the fit of the likeliest then."""

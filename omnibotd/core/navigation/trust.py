@@ -57,7 +57,6 @@ class Trust:
         self.value = 0.0
         self.broken = False  # the view changed at once and has fitted nothing since: covered, or carried away
         self._chance = chance
-        self._repetitive = ramp(chance, *_REPETITIVE)
         self.light = Illumination(chance)
         self._anew = 0.0  # trust earned since the view broke off
         self._fresh = True
@@ -89,11 +88,13 @@ class Trust:
         whole = ramp(sight.score, expected - _WHOLE_FITS[0], expected - _WHOLE_FITS[1])
         # As it would be in the light of the teaching drive.
         sight = replace(sight, score=sight.score / self.light.share, elsewhere=sight.elsewhere / self.light.share)
-        no_better = min(self._chance, expected - _SURPASSING)
+        chance = self.light.chance(self._chance, sight.score)
+        repetitive = ramp(chance, *_REPETITIVE)
+        no_better = min(chance, expected - _SURPASSING)
         fit = ramp(sight.score, max(expected - _TOO_LOW, no_better, 0.3), max(expected - _SLACK, 0.5))
-        low, high = (limit + self._repetitive * more for limit, more in zip(_RIM_FITS, _RIM_UNLIKE, strict=True))
-        fit *= max(sight.at_rim(low, high, unseen=1.0), whole * (1.0 - self._repetitive))
-        distinct = ramp(sight.score, self._chance, self._chance + _DISTINCT * (1.0 - self._chance))
+        low, high = (limit + repetitive * more for limit, more in zip(_RIM_FITS, _RIM_UNLIKE, strict=True))
+        fit *= max(sight.at_rim(low, high, unseen=1.0), whole * (1.0 - repetitive))
+        distinct = ramp(sight.score, chance, chance + _DISTINCT * (1.0 - chance))
         lead = ramp(sight.score - sight.elsewhere, 0.0, _CLEAR_LEAD) * distinct
         lead = max(lead, sight.at_rim(*_RIM_LEADS, unseen=0.0))
         contradicted = ramp(sight.elsewhere - sight.score, _BETTER, _MUCH_BETTER)

@@ -136,6 +136,29 @@ def test_a_kidnapped_robot_doubts_and_finds_itself(room: Room) -> None:
     assert (confidence[sure[0] :] > SURE).mean() > 0.8
 
 
+def test_a_place_never_trusted_is_not_kept_for_having_left_the_map(room: Room) -> None:
+    """Beyond the nodes nothing speaks against a pose; nothing ever spoke for this one either."""
+    localizer, elsewhere = Localizer(room.topo_map, CAMERA), ceilings.tiles(9)
+    for number in range(8):
+        localizer.update(frame(elsewhere, Pose2D(), number * DT), Pose2D(0.4 * number))
+    path = waypoints(4.0, 0.8, np.random.default_rng(31))
+    metres, _ = errors(room, follow(room, localizer, path, Pose2D(3.2)), path)
+    assert metres[-1] < 0.1
+
+
+def test_the_place_is_found_where_its_spectrum_is_not(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in another light: the lookup leads elsewhere."""
+    path = waypoints(8.0, 0.8, np.random.default_rng(12))
+    there = [room.origin.inverse() @ pose for pose in path]
+    nodes = room.topo_map.poses[:, :2].astype(float)
+    far = np.flatnonzero([min(math.dist(node, (pose.x, pose.y)) for pose in there) > 0.6 for node in nodes])
+    assert len(far) > 20
+    localizer = Localizer(room.topo_map, CAMERA)
+    monkeypatch.setattr(localizer._index, "alike", lambda spectrum, count: far[:count])
+    metres, _ = errors(room, follow(room, localizer, path, Pose2D()), path)
+    assert metres[round(1.0 / DT)] < 0.1
+
+
 def test_another_room_is_not_mistaken_for_this_one(room: Room) -> None:
     other = Room(ceilings.plain(77), room.origin, room.topo_map)
     truth = waypoints(15.0, 1.0, np.random.default_rng(5))

@@ -181,3 +181,10 @@ def test_when_the_lamps_come_on_again_the_dark_is_forgotten() -> None:
     for _ in range(40):
         trust.update(replace(GOOD, moved=0.03))
     assert trust.light.share > 0.95
+
+
+def test_rows_of_lamps_that_are_off_make_no_places_look_alike() -> None:
+    """Measured in a workshop by night: rows of alike lamps while it was taught, then only its walls are to be seen."""
+    dark = replace(GOOD, score=0.38, elsewhere=0.19, rim=0.69)
+    assert after(250, dark, 0.76) > 0.9
+    assert after(250, replace(dark, elsewhere=0.33), 0.76) < 0.05
