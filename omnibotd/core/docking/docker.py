@@ -12,7 +12,7 @@ from omnibotd.core.docking.controlling import Controlling
 from omnibotd.core.docking.glance import pose_report
 from omnibotd.core.docking.looking import Looking
 from omnibotd.core.docking.retreat import STAGING_DISTANCE, Retreat, staging_pose
-from omnibotd.core.docking.sightings import Sightings, dock_from_odom
+from omnibotd.core.docking.sightings import Sightings, agree, dock_from_odom
 from omnibotd.core.docking.states import TRANSITIONS, Action, Event, State
 from omnibotd.core.docking.vantage import Nearer, Turned
 from omnibotd.core.error_name import ErrorName
@@ -26,6 +26,8 @@ _PERCEPTION_TIME, _CHARGE_TIME = 8.0, 5.0
 _BACK_OUT_TIME = 20.0
 # Times an attempt may lose track of the dock and look again before it counts as a failed one.
 _MAX_DOUBTS = 3
+# A base that was being aligned goes on on its contact from so far off (m, rad): contacts meet askew, too.
+_SEATED, _SEATED_YAW = 0.01, math.radians(0.75)
 
 # Which failure each reason to retry ends in when no retry is left.
 _FAILURES: Mapping[Event, Outcome] = {
@@ -163,7 +165,14 @@ class Docker:
     def _look(self, observation: Observation) -> Event | Action:
         if self._looking is None:
             self._looking = Looking(self._sightings, observation.stamp, _PERCEPTION_TIME, self._map_says)
-        return self._looking.step(observation)
+        result = self._looking.step(observation)
+        if result is Event.CHARGING and self._driven and self._doubts < _MAX_DOUBTS and not self._seated():
+            return Event.LOCATED
+        return result
+
+    def _seated(self) -> bool:
+        located = None if self._looking is None else self._looking.located
+        return located is not None and agree(located.dock_from_base, Pose2D(), _SEATED, _SEATED_YAW)
 
     def _control(self, observation: Observation) -> Event | Action:
         assert self._run is not None, "CONTROLLING is entered with a run"

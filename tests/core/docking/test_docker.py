@@ -438,6 +438,18 @@ def test_pushed_well_into_its_dock_it_charges_and_stays() -> None:
     assert all(d.twist == STOP for d in stage.decisions)
 
 
+def test_losing_sight_askew_on_its_contact_it_is_aligned_and_not_left_so() -> None:
+    stage = stage_in(State.CONTROLLING)
+    while stage.dock_from_base.x < -0.02:
+        stage.tick()
+    stage.charging, stage.dock_from_base = True, Pose2D(-0.01, 0.0, 0.08)
+    stage.bend_estimate = lambda estimate, full: None
+    stage.until(State.INITIAL_PERCEPTION, seconds=5.0)
+    stage.bend_estimate = lambda estimate, full: estimate
+    assert stage.until().state == State.DOCKED
+    assert abs(stage.dock_from_base.yaw) < math.radians(0.3)
+
+
 def test_charging_on_a_cable_is_not_docked() -> None:
     """It charges from the start, half a metre away: only at the dock that counts."""
     stage = Stage(START, charging=True)
