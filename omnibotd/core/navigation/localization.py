@@ -26,6 +26,7 @@ from omnibotd.core.percept import PlaceEstimate
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.descriptor import Descriptor, Harmonics, correlate, harmonics, smoothed
 from omnibotd.core.vision.frame import Frame
+from omnibotd.core.vision.lens_dirt import LensDirt
 from omnibotd.core.vision.view import View
 
 Floats = NDArray[np.float64]
@@ -142,6 +143,7 @@ class Localizer:
 
     def __init__(self, topo_map: TopoMap, camera: CameraModel) -> None:
         self._descriptor = Descriptor(camera)
+        self._dirt = LensDirt(self._descriptor.seen)
         self._index = NodeIndex(topo_map)
         self._likeness = likeness.measure(self._index)
         self.reset()
@@ -159,7 +161,8 @@ class Localizer:
 
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. FrameError where the frame can't be used."""
-        view = smoothed(self._descriptor.view(frame), snapshots.ORDERS)  # all that nodes have of theirs
+        texture = self._dirt.without(self._descriptor.texture(frame), odom_from_base)
+        view = smoothed(self._descriptor.normalised(texture), snapshots.ORDERS)  # all that nodes have of theirs
         step = self._move(odom_from_base)
         moved = math.hypot(step.x, step.y) + _TURN_WORTH * abs(step.yaw)
         query = harmonics(view)

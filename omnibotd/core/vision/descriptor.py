@@ -31,15 +31,24 @@ class Descriptor:
 
     def __init__(self, camera: CameraModel) -> None:
         self._viewer = Viewer(camera)
+        self.seen = self._viewer.seen
 
     def view(self, frame: Frame) -> View:
         """(RINGS, SECTORS) float32, zero mean, unit variance; sector k looks at bearing k * 2 pi / SECTORS, CCW."""
-        return self._viewer.normalised(self._viewer.texture(frame))
+        return self.normalised(self.texture(frame))
+
+    def texture(self, frame: Frame) -> View:
+        """What a view is before it is normalised."""
+        return self._viewer.texture(frame)
+
+    def normalised(self, texture: View) -> View:
+        """The view of a texture."""
+        return self._viewer.normalised(texture)
 
     def view_and_contrast(self, frame: Frame) -> tuple[View, float]:
         """The view, and the spread of the relative gradient before it was normalised."""
-        texture = self._viewer.texture(frame)
-        return self._viewer.normalised(texture), self._viewer.contrast(texture)
+        texture = self.texture(frame)
+        return self.normalised(texture), self._viewer.contrast(texture)
 
     @staticmethod
     def spectrum(view: View) -> Floats:
