@@ -36,8 +36,8 @@ GOOD_SCORE = 0.7
 class Fix:
     """Where the robot is, seen from where the key view was taken.
 
-    `score` is the correlation of what both show, -1 where they share nothing; `told` is what the picture says of how
-    near every cell is (C,), and how surely (1/variance).
+    `score` is the correlation of what both show, -1 where they share nothing; `told` is what the picture says of every
+    cell's excess (C,), and how surely (1/variance).
     """
 
     pose: Pose2D
@@ -77,21 +77,22 @@ class KeyLayer:
 
     def locate(self, picture: FloatImage, expected: Expected) -> Fix:
         """Where the picture was taken, from where this one was."""
-        guess = Guess.first(expected)
-        score, near = -1.0, self.nearness.at(self.points)
+        guess, nearness = Guess.first(expected), self.nearness.believed()
+        score, near = -1.0, nearness.at(self.points)
         parallax = np.zeros_like(near)
         for _ in range(_STEPS):
             seen, inside = self._sampled(picture, guess.pose, near)
             if np.count_nonzero(inside) < _LEAST_SHARE * len(inside):
                 return NOT_SEEN
             equations = Equations.of(self.points, near, guess.pose, seen - self.points.value, parallax, inside)
-            solution = equations.solved(self.nearness.variance, expected, guess)
+            solution = equations.solved(nearness.variance, expected, guess)
             parallax = equations.parallax * solution.correction[self.points.cell].astype(np.float32)
             score = _correlation(seen - parallax, self.points.value, equations.weight)
             guess = guess.stepped(solution.step)
             if np.abs(solution.step[:3]).max() * self._contrast.focal < _STILL:
                 break
-        return Fix(guess.metric(expected), score, equations.told(solution.step))
+        correction, information = equations.told(solution.step)
+        return Fix(guess.metric(expected), score, (nearness.excess + correction, information))
 
     def _sampled(self, picture: FloatImage, pose: Pose2D, near: FloatImage) -> tuple[FloatImage, NDArray[np.bool_]]:
         """The picture's contrast (N,) where it shows the points if taken at `pose`, and which are in it."""

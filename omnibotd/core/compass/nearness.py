@@ -32,6 +32,11 @@ _OVERHEAD, _FEWEST = math.cos(_WALLS_FROM), 3
 _MIXED = 0.05
 # A cell seen from a new place holds other points, too: what was known of it counts half.
 _HANDED_ON = 2.0
+# What is known to this share of the plane, and no more off it, may be ceiling. Where half of what is low may be, this
+# is a hall, and all that may be ceiling is, exact to the second share: left free, a lens centred a few pixels wrong is
+# taken for nearness, and a part of every turn with it. The median of what is low is off by 0.18 under a real lamp grid,
+# by 0.05 in simulated halls, and by 0.6 and more in rooms, which walls stand round (single frames: 0.34).
+_AT_PLANE, _EXACT = 0.25, 0.002
 # Frames compared with one key view share its noise: each counts as a fifth of a new one.
 _NEW = 0.2
 
@@ -57,11 +62,20 @@ class Nearness:
         """(N,) of each point."""
         return np.asarray(points.z + self.excess[points.cell], np.float32)
 
-    def learn(self, correction: Floats, information: Floats) -> None:
-        """Take in what one frame says of each cell's excess: how much to add, and how surely."""
+    def believed(self) -> Nearness:
+        """What to locate by: as learnt, but in a hall the plane itself for all that may be on it."""
+        low, near = self.plane <= _OVERHEAD, _AT_PLANE * self.plane
+        ceiling = (np.abs(self.excess) < near) & (self.variance < near**2)
+        if 2 * np.count_nonzero(ceiling & low) <= np.count_nonzero(low):
+            return self
+        excess = np.where(ceiling, 0.0, self.excess)
+        return Nearness(self.plane, excess, np.where(ceiling, (_EXACT * self.plane) ** 2, self.variance))
+
+    def learn(self, excess: Floats, information: Floats) -> None:
+        """Take in what one frame says of each cell's excess, and how surely."""
         information = _NEW * information
         share = information / (information + 1.0 / self.variance)
-        self.excess += share * correction
+        self.excess += share * (excess - self.excess)
         self.variance *= 1.0 - share
         self._hold()
 

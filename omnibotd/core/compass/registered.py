@@ -1,7 +1,7 @@
 """The heading by the registration of docking: each frame against a key view, a fifth of the height off at most.
 
-It takes what is overhead for a plane, or for beams and walls that it understands: true on real frames of a lamp grid,
-where what the tracker learns of nearness leaks into the turn; under photographed ceilings the tracker is surer.
+It takes what is overhead for a plane, or for beams and walls that it understands, and looks at 115 degrees of it: where
+little is seen there, as under bare photographed ceilings, the tracker is surer.
 """
 
 from __future__ import annotations

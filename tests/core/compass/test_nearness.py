@@ -45,7 +45,33 @@ def test_a_thousand_frames_make_nothing_surer_than_what_a_cell_mixes() -> None:
 
 def test_a_frame_that_says_much_is_followed() -> None:
     nearness = Nearness(PLANE.copy(), np.zeros(len(PLANE)), np.full(len(PLANE), 0.3**2))
-    correction = np.zeros(len(PLANE))
-    correction[6] = 0.2
-    nearness.learn(correction, np.full(len(PLANE), 1e6))
+    excess = np.zeros(len(PLANE))
+    excess[6] = 0.2
+    nearness.learn(excess, np.full(len(PLANE), 1e6))
     assert nearness.excess[6] == pytest.approx(0.2, rel=1e-3)
+
+
+def test_in_a_hall_what_may_be_ceiling_is_and_the_rest_is_as_learnt() -> None:
+    nearness = known(1.1)
+    nearness.excess[5] = 0.4
+    believed = nearness.believed()
+    assert believed.excess == pytest.approx(np.where(np.arange(len(PLANE)) == 5, 0.4, 0.0))
+    assert np.delete(np.sqrt(believed.variance) / PLANE, 5) == pytest.approx(0.002)
+    assert believed.variance[5] == 1e-6
+    assert nearness.excess[0] == pytest.approx(0.1 * PLANE[0])
+
+
+def test_where_walls_stand_all_is_as_learnt() -> None:
+    nearness = known(1.1)
+    nearness.excess[5:] = 0.4
+    assert nearness.believed() is nearness
+
+
+def test_what_is_only_guessed_makes_no_hall() -> None:
+    nearness = Nearness(PLANE.copy(), np.zeros(len(PLANE)), np.full(len(PLANE), 0.6**2))
+    assert nearness.believed() is nearness
+
+
+def test_without_anything_low_there_is_no_telling() -> None:
+    nearness = Nearness(PLANE[:4].copy(), 0.1 * PLANE[:4], np.full(4, 1e-6))
+    assert nearness.believed() is nearness
