@@ -200,6 +200,8 @@ class Perception:
         if self._registration is None or self._registration[0] != request.dock:
             self._registration = (request.dock, self.lights_of(topo_map, topo_map.docks[request.dock], model))
         registration = self._registration[1]
+        if self._localizer is not None:
+            frame = replace(frame, dirty=self._localizer.dirty)
         if request.dock_from_odom is None:
             return registration.fix(frame, odom_from_base)
         return registration.track(frame, odom_from_base, request.dock_from_odom @ odom_from_base)

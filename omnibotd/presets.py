@@ -11,6 +11,9 @@ from functools import partial
 from importlib import import_module
 from typing import Protocol, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from omnibotd.core.decision import Observation
 from omnibotd.core.docking.docker import Docker, DockingParameters, staging_pose
 from omnibotd.core.docking.registration import DockRegistration
@@ -33,7 +36,10 @@ from omnibotd.core.vision.frame import Frame
 
 
 class Locating(Protocol):
-    """Says where in its map a frame was taken."""
+    """Says where in its map a frame was taken, and which cells of a view the lens' dirt hides, if it finds out."""
+
+    @property
+    def dirty(self) -> NDArray[np.bool_] | None: ...
 
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. CoreError where the frame can't be used."""

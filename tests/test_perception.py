@@ -7,9 +7,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from omnibotd.config import BaseConfig, CameraConfig, Config
+from omnibotd.core.decision import HomingRequest
 from omnibotd.core.geometry import Pose2D
-from omnibotd.core.mapping.topo_map import TopoMap
+from omnibotd.core.mapping.topo_map import Dock, TopoMap
+from omnibotd.core.vision.frame import Frame
+from omnibotd.core.vision.view import RINGS, SECTORS
 from omnibotd.perception import Perception
 from tests.made_maps import made_map
 
@@ -49,6 +54,17 @@ def test_a_place_named_while_the_map_is_made_ready_is_kept() -> None:
     topo_map = made_map()
     edited = replace(topo_map, places={"desk": Pose2D(1.0, 0.0)})
     assert used_while(topo_map, edited) is edited
+
+
+def test_docking_is_told_of_the_dirt_that_navigation_found() -> None:
+    made, shown = perception(asyncio.Event()), list[Frame]()
+    dirty = np.zeros((RINGS, SECTORS), np.bool_)
+    made.topo_map = replace(made_map(), docks={"home": Dock(Pose2D(), ())})
+    made._localizer = SimpleNamespace(dirty=dirty)
+    made._registration = ("home", SimpleNamespace(fix=lambda frame, odom: shown.append(frame)))
+    made._home(HomingRequest("home", None), Frame(3.0, b""), Pose2D())
+    assert shown[0].stamp == 3.0
+    assert shown[0].dirty is dirty
 
 
 def test_an_edit_of_the_map_before_does_not_stop_a_change_of_maps() -> None:

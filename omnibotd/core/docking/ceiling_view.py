@@ -13,6 +13,7 @@ from omnibotd.core.docking.features import edge_strength, unoccluded
 from omnibotd.core.docking.rectification import Lookup, Rectification, rim_rays
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import FloatImage, Frame, Image
+from omnibotd.core.vision.view import cells_at
 
 # The ceiling's edge is in view, which breaks the symmetry of a grid of tiles, and is all there is of a plain ceiling.
 # Wider, more of the view is wall, and few lenses are known well that far off their axis.
@@ -23,6 +24,8 @@ _REDUCTION = 2
 COARSE, MIDDLE, FINE = 60, 120, 240
 # Edges of lamps are stronger than this, and shall not outweigh everything else.
 _STRONGEST = 4.0
+# What of a smudge lies beyond the cells it was found in, in pixels of the finest layer: a square of so many.
+_SMEARED = (9, 9)
 _RIM_ZENITHS = np.radians(np.linspace(50.0, 86.0, 13))
 
 
@@ -82,6 +85,7 @@ class CeilingOptics:
     def __init__(self, camera: CameraModel) -> None:
         small = camera.reduced(_REDUCTION)
         self._rectify = Rectification(small, FINE, _FOV)
+        self._cells = cells_at(self._rectify.rays)
         self._rim = Lookup(small, rim_rays(_RIM_ZENITHS, 360))
         self._sees_walls = bool(self._rim.valid.all())
 
@@ -89,7 +93,13 @@ class CeilingOptics:
         """Raises FrameError on a picture of another size than the camera's."""
         grey = frame.grey(_REDUCTION)
         rim = self._rim(grey) if self._sees_walls else None
-        return CeilingView(self._rectify(grey), self._rectify.valid, self._rectify.focal, rim)
+        return CeilingView(self._rectify(grey), self._valid(frame), self._rectify.focal, rim)
+
+    def _valid(self, frame: Frame) -> Image:
+        if frame.dirty is None or not frame.dirty.any():
+            return self._rectify.valid
+        clean = np.where(frame.dirty.ravel()[self._cells], np.uint8(0), self._rectify.valid)
+        return np.asarray(cv2.erode(clean, np.ones(_SMEARED, np.uint8)), np.uint8)
 
 
 @lru_cache(maxsize=4)

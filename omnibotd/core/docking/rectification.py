@@ -47,7 +47,8 @@ class Rectification(Lookup):
         self.focal = size / 2.0 / math.tan(fov / 2.0)
         step = (np.arange(size) - (size - 1) / 2.0) / self.focal
         y, minus_x = np.meshgrid(step, step)
-        super().__init__(camera, np.stack([-minus_x, y, np.ones_like(y)], -1))
+        self.rays = np.stack([-minus_x, y, np.ones_like(y)], -1)
+        super().__init__(camera, self.rays)
 
 
 def rim_rays(zeniths: NDArray[np.float64], bearings: int) -> NDArray[np.float64]:

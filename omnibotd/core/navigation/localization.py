@@ -159,6 +159,11 @@ class Localizer:
         self._tracked: Pose2D | None = None
         self._next_node = 0
 
+    @property
+    def dirty(self) -> NDArray[np.bool_]:
+        """(RINGS, SECTORS) cells of the view where the lens is dirty."""
+        return self._dirt.dirty
+
     def update(self, frame: Frame, odom_from_base: Pose2D) -> PlaceEstimate:
         """Take the next frame and the odometry at its stamp. FrameError where the frame can't be used."""
         texture = self._dirt.without(self._descriptor.texture(frame), odom_from_base)

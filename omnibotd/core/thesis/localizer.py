@@ -29,6 +29,8 @@ class ThesisLocalizer:
     compass tiles were first seen.
     """
 
+    dirty = None  # it never finds out
+
     def __init__(self, topo_map: TopoMap, camera: CameraModel) -> None:
         """MapError where the map is of another method."""
         self._responses = unpack(topo_map)

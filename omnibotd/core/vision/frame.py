@@ -23,10 +23,14 @@ _REDUCED_GREY = {
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A camera image as it came: JPEG bytes, or pixels (H, W) grey or (H, W, 3) BGR; `stamp` in monotonic seconds."""
+    """A camera image as it came: JPEG bytes, or pixels (H, W) grey or (H, W, 3) BGR; `stamp` in monotonic seconds.
+
+    `dirty` are the cells (RINGS, SECTORS) of its view where the lens is known to be dirty, if that is known.
+    """
 
     stamp: float
     data: bytes | Image
+    dirty: NDArray[np.bool_] | None = None
 
     def grey(self, reduction: int = 1) -> Image:
         """Grey image (H/reduction, W/reduction), reduction in {1, 2, 4, 8}; a JPEG is decoded just that large.

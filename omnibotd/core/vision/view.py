@@ -90,6 +90,14 @@ class Viewer:
         return float(texture[self.seen].std())
 
 
+def cells_at(rays: NDArray[np.float64]) -> NDArray[np.intp]:
+    """(...) flat index of the cell of a view that each ray (..., 3) in the base frame falls in, or of the nearest."""
+    x, y, z = np.moveaxis(rays, -1, 0)
+    rings = (np.arctan2(np.hypot(x, y), z) - _NEAREST) / (_FARTHEST - _NEAREST) * RINGS
+    sectors = np.rint(np.arctan2(y, x) * SECTORS / (2.0 * math.pi)).astype(np.intp) % SECTORS
+    return np.asarray(np.clip(rings.astype(np.intp), 0, RINGS - 1) * SECTORS + sectors)
+
+
 def _sample_points(camera: CameraModel) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Pixels (rings * 2, sectors * 2, 2) of the sampling rays, and which of them the camera sees."""
     rings, sectors = RINGS * _OVERSAMPLING, SECTORS * _OVERSAMPLING

@@ -17,6 +17,7 @@ from omnibotd.core.geometry import Pose2D, wrap
 from omnibotd.core.percept import HomingEstimate, Verdict
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Frame
+from omnibotd.core.vision.view import RINGS, SECTORS, cells_at
 from tools.sim import ceilings
 from tools.sim.panorama import PanoramaError
 from tools.sim.world import World
@@ -47,6 +48,24 @@ def registration(style: str, dock: Pose2D) -> DockRegistration:
 def error(estimate: HomingEstimate, truth: Pose2D) -> tuple[float, float]:
     found = estimate.dock_from_base
     return found.distance(truth), abs(math.degrees(wrap(found.yaw - truth.yaw)))
+
+
+def test_a_smudge_that_is_known_is_not_looked_at() -> None:
+    rows, columns = np.mgrid[:480, :640]
+    smudge = np.hypot(columns - 380, rows - 200) < 60
+    fibres = np.where((rows // 8 + columns // 8) % 2, 30, 120)
+    frame = see("tiles", MIDDLE @ Pose2D(-0.2, 0.1, 0.3))
+    picture = np.where(smudge, fibres, frame.grey()).astype(np.uint8)
+    y, x = np.meshgrid(*2 * [np.linspace(-3.0, 3.0, 400)])
+    rays = np.stack([x, y, np.ones_like(x)], -1)
+    u, v = np.moveaxis(CAMERA.project(rays), -1, 0)
+    dirty = np.zeros((RINGS, SECTORS), np.bool_)
+    dirty.flat[cells_at(rays)[np.hypot(u - 380, v - 200) < 60]] = True
+    unknown, known = (
+        registration("tiles", MIDDLE).fix(Frame(1.0, picture, cells), Pose2D()) for cells in (None, dirty)
+    )
+    assert known.score > unknown.score + 0.05
+    assert error(known, Pose2D(-0.2, 0.1, 0.3))[0] < 0.02
 
 
 @pytest.mark.parametrize("style", STYLES)

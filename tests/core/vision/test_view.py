@@ -11,7 +11,7 @@ import pytest
 from omnibotd.core.errors import FrameError
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import Frame, Image
-from omnibotd.core.vision.view import RINGS, SECTORS, Viewer, reduction_for
+from omnibotd.core.vision.view import RINGS, SECTORS, Viewer, cells_at, reduction_for
 
 CAMERA = CameraModel.equidistant(640, 480, math.radians(190.0))
 
@@ -46,6 +46,15 @@ def test_sector_is_bearing_and_ring_is_zenith_angle(bearing: float) -> None:
     assert abs(math.remainder(seen - bearing, math.tau)) < 0.03
     # 16 rings between 2 and 50 px at 36.2 px/rad: 0.8 rad is 29 px.
     assert ring == pytest.approx((0.8 * 36.2 - 2.0) / 3.0 - 0.5, abs=0.5)
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.7, math.pi / 2, -2.5, math.pi])
+def test_the_cell_of_a_ray_is_where_its_lamp_shows(bearing: float) -> None:
+    ray = np.array([math.sin(0.8) * math.cos(bearing), math.sin(0.8) * math.sin(bearing), math.cos(0.8)])
+    ring, sector = divmod(int(cells_at(ray)), SECTORS)
+    shown, seen = centre_of_mass(view_of(CAMERA, picture(CAMERA, [(0.8, bearing)])))
+    assert abs(ring - shown) <= 1.0
+    assert abs(math.remainder(seen - sector * math.tau / SECTORS, math.tau)) <= math.pi / SECTORS + 0.03
 
 
 @pytest.mark.parametrize(
