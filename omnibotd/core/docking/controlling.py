@@ -7,7 +7,7 @@ from enum import Enum, auto
 
 from omnibotd.core.decision import Observation
 from omnibotd.core.docking.approach import Limits, SmoothApproach, Trim
-from omnibotd.core.docking.looking import at_contact
+from omnibotd.core.docking.looking import at_contact, seated
 from omnibotd.core.docking.sightings import Sightings, agree, dock_from_odom
 from omnibotd.core.docking.states import Action, Event
 from omnibotd.core.geometry import STOP, Pose2D, Twist2D
@@ -109,7 +109,8 @@ class Controlling:
             return Event.CHARGING
         if held or now - self._started > _TIME or self._trim.rounds > _MAX_ROUNDS:
             # A base on its contact can be held short of the snapshot's pose by the dock itself.
-            return Event.CHARGING if at_contact(observation, pose) else Event.STUCK
+            docked = at_contact(observation, pose) and (held or seated(pose))
+            return Event.CHARGING if docked else Event.STUCK
         # Lifted wheels make odometry meaningless.
         return Event.DOUBTED if observation.wheel_drop or now - self._seen > _BLIND_TIME else None
 

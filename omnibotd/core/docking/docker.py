@@ -10,9 +10,9 @@ from omnibotd.core.decision import Decision, Observation, Outcome
 from omnibotd.core.docking.approach import Limits
 from omnibotd.core.docking.controlling import Controlling
 from omnibotd.core.docking.glance import pose_report
-from omnibotd.core.docking.looking import Looking
+from omnibotd.core.docking.looking import Looking, at_contact, seated
 from omnibotd.core.docking.retreat import STAGING_DISTANCE, Retreat, staging_pose
-from omnibotd.core.docking.sightings import Sightings, agree, dock_from_odom
+from omnibotd.core.docking.sightings import Sightings, dock_from_odom
 from omnibotd.core.docking.states import TRANSITIONS, Action, Event, State
 from omnibotd.core.docking.vantage import Nearer, Turned
 from omnibotd.core.error_name import ErrorName
@@ -26,8 +26,6 @@ _PERCEPTION_TIME, _CHARGE_TIME = 8.0, 5.0
 _BACK_OUT_TIME = 20.0
 # Times an attempt may lose track of the dock and look again before it counts as a failed one.
 _MAX_DOUBTS = 3
-# A base that was being aligned goes on on its contact from so far off (m, rad): contacts meet askew, too.
-_SEATED, _SEATED_YAW = 0.01, math.radians(0.75)
 
 # Which failure each reason to retry ends in when no retry is left.
 _FAILURES: Mapping[Event, Outcome] = {
@@ -100,7 +98,9 @@ class Docker:
         self._tick(observation)
         abort = self._abort(observation)
         result: Event | Action
-        if abort is not None:
+        if abort is not None and abort.error is ErrorName.TIMEOUT and self._charges(observation):
+            result = Event.CHARGING
+        elif abort is not None:
             self._outcome, result = abort, Event.ABORTED
         else:
             result = self._handlers[self.state](observation)
@@ -166,13 +166,10 @@ class Docker:
         if self._looking is None:
             self._looking = Looking(self._sightings, observation.stamp, _PERCEPTION_TIME, self._map_says)
         result = self._looking.step(observation)
-        if result is Event.CHARGING and self._driven and self._doubts < _MAX_DOUBTS and not self._seated():
-            return Event.LOCATED
+        located = self._looking.located
+        if result is Event.CHARGING and located is not None and self._driven and self._doubts < _MAX_DOUBTS:
+            return Event.CHARGING if seated(located.dock_from_base) else Event.LOCATED
         return result
-
-    def _seated(self) -> bool:
-        located = None if self._looking is None else self._looking.located
-        return located is not None and agree(located.dock_from_base, Pose2D(), _SEATED, _SEATED_YAW)
 
     def _control(self, observation: Observation) -> Event | Action:
         assert self._run is not None, "CONTROLLING is entered with a run"
@@ -183,6 +180,11 @@ class Docker:
             return Event.CHARGING
         late = observation.stamp - self._entered > _CHARGE_TIME
         return Event.NOT_CHARGING if late else Action(distance_remaining=0.0)
+
+    def _charges(self, observation: Observation) -> bool:
+        """Whether it stands on the dock's contact, however well."""
+        self._learn(observation)
+        return self._found is not None and at_contact(observation, self._found)
 
     def _new_retreat(self, observation: Observation) -> tuple[Retreat | Nearer | Turned | None, Pose2D]:
         """The way to where to look from next, and the frame from odom that it is driven in.
@@ -201,7 +203,7 @@ class Docker:
 
     def _back_out(self, observation: Observation) -> Event | Action:
         if self._retries >= self._parameters.max_retries:
-            return Event.EXHAUSTED
+            return Event.CHARGING if self._charges(observation) else Event.EXHAUSTED
         twist = None
         if self._retreat is not None:
             pose = self._retreats_in @ observation.odom_from_base

@@ -26,6 +26,8 @@ _REMEMBERED_FIXES = 8
 _EXPECTED, _EXPECTED_YAW = 0.45, math.radians(30.0)
 # With the contact closed, nearer than this (m, rad) to the dock's pose is that dock.
 _CONTACT, _CONTACT_YAW = 0.1, math.radians(10.0)
+# Contacts meet askew, too; this near (m, rad) the base sits in its dock as it should.
+_SEATED, _SEATED_YAW = 0.01, math.radians(0.75)
 
 
 def as_expected(dock_from_base: Pose2D, expected: Pose2D | None) -> bool:
@@ -36,6 +38,11 @@ def as_expected(dock_from_base: Pose2D, expected: Pose2D | None) -> bool:
 def at_contact(observation: Observation, dock_from_base: Pose2D) -> bool:
     """Whether the base charges, and at this dock."""
     return bool(observation.charging) and agree(dock_from_base, Pose2D(), _CONTACT, _CONTACT_YAW)
+
+
+def seated(dock_from_base: Pose2D) -> bool:
+    """Whether there is nothing left to align for a base on its contact."""
+    return agree(dock_from_base, Pose2D(), _SEATED, _SEATED_YAW)
 
 
 class Looking:

@@ -54,7 +54,12 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = {
         **_ABORT,
     },
     State.WAIT_FOR_CHARGE: {Event.CHARGING: State.DOCKED, Event.NOT_CHARGING: State.RETRY, **_ABORT},
-    State.RETRY: {Event.BACKED_OUT: State.INITIAL_PERCEPTION, Event.EXHAUSTED: State.FAILED, **_ABORT},
+    State.RETRY: {
+        Event.BACKED_OUT: State.INITIAL_PERCEPTION,
+        Event.CHARGING: State.DOCKED,
+        Event.EXHAUSTED: State.FAILED,
+        **_ABORT,
+    },
     State.DOCKED: {},
     State.FAILED: {},
 }

@@ -450,6 +450,23 @@ def test_losing_sight_askew_on_its_contact_it_is_aligned_and_not_left_so() -> No
     assert abs(stage.dock_from_base.yaw) < math.radians(0.3)
 
 
+@pytest.mark.parametrize(("attempt_time", "retries"), [(60.0, 1), (4.0, 0)])
+def test_askew_on_its_contact_it_tries_again_and_at_last_takes_what_it_has(attempt_time: float, retries: int) -> None:
+    """It stands 2 degrees askew, and its wheels slip when they turn it."""
+
+    class Slipping(Stage):
+        def _move(self, decision: Decision, dt: float) -> None:
+            super()._move(decision, dt)
+            self.dock_from_base = replace(self.dock_from_base, yaw=0.035)
+
+    docker = Docker("home", DockingParameters(max_retries=1, attempt_time=attempt_time))
+    stage = Slipping(Pose2D(-0.1, 0.0, 0.035), docker)
+    stage.bend_observation = lambda seen: replace(seen, charging=abs(stage.dock_from_base.x) < 0.02)
+    decision = stage.until(seconds=200.0)
+    assert (decision.state, decision.recoveries) == (State.DOCKED, retries)
+    assert decision.outcome is not None and decision.outcome.error is None
+
+
 def test_charging_on_a_cable_is_not_docked() -> None:
     """It charges from the start, half a metre away: only at the dock that counts."""
     stage = Stage(START, charging=True)
