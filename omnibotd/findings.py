@@ -23,6 +23,7 @@ MEMORY_SCARCE = 100e6  # bytes available to programs
 DARK, BRIGHT = 20.0, 250
 GLARE = 0.25  # share of the picture that may be as bright as that: lamps take a tenth
 FLAT = 4.0  # spread of brightness in the picture: a covered lens
+DIRTY = 0.02  # share of the view that stays the same however the robot turns; by chance it is a tenth of that
 
 
 class Grade(StrEnum):
@@ -93,6 +94,13 @@ def picture(mean: float, spread: float, glare: float) -> Finding:
     if glare > GLARE:
         return warning("picture", f"{found}: too bright", "set camera.exposure to less, 0.005 for a start")
     return ok("picture", found)
+
+
+def dirt(share: float) -> Finding | None:
+    """Share of the view in which the lens is known to be dirty; it is known once the robot has turned all round."""
+    if share < DIRTY:
+        return None
+    return warning("lens", f"{share:.0%} of the view stays the same however the robot turns", "wipe the lens")
 
 
 def disk(free: float, folder: str) -> Finding:

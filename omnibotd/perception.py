@@ -206,6 +206,12 @@ class Perception:
             return registration.fix(frame, odom_from_base)
         return registration.track(frame, odom_from_base, request.dock_from_odom @ odom_from_base)
 
+    @property
+    def dirt(self) -> float:
+        """Share of the view in which the lens is known to be dirty."""
+        dirty = None if self._localizer is None else self._localizer.dirty
+        return 0.0 if dirty is None else float(dirty.mean())
+
     def lights_of(self, topo_map: TopoMap, dock: Dock, model: CameraModel) -> Lights:
         """What registers frames with all views of a dock, by the map's method; on the worker, for it takes its time."""
         homing, ceiling = preset_of(topo_map).homing, self._ceiling(topo_map)

@@ -37,6 +37,14 @@ def test_grades(finding: Finding, grade: Grade) -> None:
     assert bool(finding.remedy) == (grade in (Grade.WARNING, Grade.WRONG))
 
 
+def test_a_dirty_lens_is_named_and_a_clean_one_is_not() -> None:
+    finding = findings.dirt(0.08)
+    assert finding is not None
+    assert (finding.grade, finding.remedy) == (Grade.WARNING, "wipe the lens")
+    assert "8%" in finding.found
+    assert findings.dirt(0.004) is None
+
+
 def test_a_kernels_name_is_warned_of_only_where_there_is_a_better_one() -> None:
     better = "/dev/serial/by-id/usb-FTDI"
     finding = findings.stable_name("base", "base.port", "/dev/ttyUSB0", better)

@@ -75,8 +75,9 @@ class Doctor:
             seen = findings.picture(*await self._robot.off_loop(brightness, frame))
         except CoreError as error:
             return [wrong("picture", str(error), "replug the camera; try another cable")]
-        refused = self._robot.perception.reason
-        return [seen, wrong("picture", refused, "see camera in the configuration")] if refused else [seen]
+        perception = self._robot.perception
+        refused = [wrong("picture", perception.reason, "see camera in the configuration")] if perception.reason else []
+        return [seen, *refused, *_given(findings.dirt(perception.dirt))]
 
     def _base(self) -> Iterator[Finding]:
         base, settings = self._robot.base, self._robot.config.base

@@ -61,7 +61,7 @@ def robot(tmp_path: Path) -> Any:
             latest=SimpleNamespace(emergency_stop=False),
         ),
         control=SimpleNamespace(lateness=deque([0.001] * 100)),
-        perception=SimpleNamespace(reason="", topo_map=made_map()),
+        perception=SimpleNamespace(reason="", topo_map=made_map(), dirt=0.0),
         calibrations=stored,
         stored=lambda: stored,
     )
@@ -137,6 +137,11 @@ def test_exposure_and_white_balance_that_are_held_are_told(robot: Any) -> None:
 def test_pictures_that_show_nothing_too_little_and_too_much(robot: Any, pixels: np.ndarray, grade: Grade) -> None:
     robot.camera.latest = Frame(4.9, pixels)
     assert found(robot)["picture"].grade is grade
+
+
+def test_a_lens_that_is_to_be_wiped(robot: Any) -> None:
+    robot.perception.dirt = 0.08
+    assert found(robot)["lens"].grade is Grade.WARNING
 
 
 def test_a_picture_that_is_none_and_one_that_perception_refuses(robot: Any) -> None:
