@@ -151,7 +151,10 @@ class PathLinker:
         earlier = node - _COMPASS_LAGS[node >= _COMPASS_LAGS]
         near = earlier[self.travelled[node] - self.travelled[earlier] < _COMPASS_RANGE]
         turn, score = correlate(self.views[node], self.views[near])
-        good, links = score > _COMPASS_SCORE, Links()
+        # Half-way between square lamps a view looks much the same a quarter turn round, which no odometry is wrong by.
+        off = turn - [self.steps[first + 1 : node + 1, 2].sum() for first in near]
+        likely = np.abs(np.arctan2(np.sin(off), np.cos(off))) < _HEADING_GATE
+        good, links = likely & (score > _COMPASS_SCORE), Links()
         links.add(node, near[good], turn[good], score[good], place=False)
         return links
 
