@@ -171,6 +171,22 @@ def parlour(seed: int, light: str = "nominal") -> World:
     return build(Design(albedo, lamps, interior), seed, light)
 
 
+def library(seed: int, light: str = "nominal") -> World:
+    """Dark beams close together under pale boards, globe lamps between them, shelves along most of the walls."""
+    rng = np.random.default_rng((seed, 21))
+    room = Room(7.4, 5.2, 3.1)
+    albedo = np.minimum(materials.boards(rng, room, float(rng.uniform(0.14, 0.18))) * 2.0, 0.75)
+    wood = paint.wood(rng, paint.ceiling_shape(room), (0.08, 0.12, 0.18))
+    centres = np.arange(-3.0, 3.1, 1.2) + rng.normal(0.0, 0.05, 6)
+    drop = float(rng.uniform(0.18, 0.24))
+    flank = wood.transpose(1, 0, 2)[: round(drop * CEILING_SCALE)]
+    bars = tuple(BarDesign((float(c) - 0.09, float(c) + 0.09), drop, flank) for c in centres)
+    gaps = (centres[1:] + centres[:-1]) / 2
+    lamps = [Lamp(float(x), y + rng.normal(0.0, 0.15), 0.34) for x in gaps[::2] for y in (-1.4, 1.5)]
+    interior = furnished(rng, room, ("door", "shelf", "shelf", "shelf", "window", "picture"))
+    return build(Design(albedo, lamps, interior, (BarsDesign("y", bars, wood),)), seed, light)
+
+
 def hall(seed: int, light: str = "nominal") -> World:
     """12 x 12 m under a strictly periodic ceiling: identical tiles, and identical lamps every 1.8 m."""
     rng = np.random.default_rng((seed, 15))
