@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from omnibotd.core.docking.features import edge_strength, unoccluded
-from omnibotd.core.docking.rectification import Lookup, Rectification, rim_rays
+from omnibotd.core.docking.rectification import Lookup, Rectification, ceiling_rays, rim_rays
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import FloatImage, Frame, Image
 from omnibotd.core.vision.view import cells_at
@@ -85,7 +85,7 @@ class CeilingOptics:
     def __init__(self, camera: CameraModel) -> None:
         small = camera.reduced(_REDUCTION)
         self._rectify = Rectification(small, FINE, _FOV)
-        self._cells = cells_at(self._rectify.rays)
+        self._cells = cells_at(ceiling_rays(FINE, _FOV))
         self._rim = Lookup(small, rim_rays(_RIM_ZENITHS, 360))
         self._sees_walls = bool(self._rim.valid.all())
 

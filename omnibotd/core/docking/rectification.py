@@ -45,10 +45,14 @@ class Rectification(Lookup):
     def __init__(self, camera: CameraModel, size: int, fov: float) -> None:
         self.size = size
         self.focal = size / 2.0 / math.tan(fov / 2.0)
-        step = (np.arange(size) - (size - 1) / 2.0) / self.focal
-        y, minus_x = np.meshgrid(step, step)
-        self.rays = np.stack([-minus_x, y, np.ones_like(y)], -1)
-        super().__init__(camera, self.rays)
+        super().__init__(camera, ceiling_rays(size, fov))
+
+
+def ceiling_rays(size: int, fov: float) -> NDArray[np.float64]:
+    """Rays (size, size, 3) of the pixels of such a view."""
+    step = (np.arange(size) - (size - 1) / 2.0) * (2.0 * math.tan(fov / 2.0) / size)
+    y, minus_x = np.meshgrid(step, step)
+    return np.stack([-minus_x, y, np.ones_like(y)], -1)
 
 
 def rim_rays(zeniths: NDArray[np.float64], bearings: int) -> NDArray[np.float64]:
