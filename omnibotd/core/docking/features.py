@@ -7,8 +7,11 @@ import numpy as np
 
 from omnibotd.core.vision.frame import FloatImage, Image
 
-# Side of the box over which edge strength is evened out; wider than a lamp, narrower than the view.
-_BOX = 31
+# Side of the box over which edge strength is evened out, in pixels of the layer: just wider than an edge. Of two edges
+# side by side (of a beam, a lamp) none must outweigh the other when the light comes from elsewhere, or they seem moved.
+_BOX = 9
+# And where views of one light are aligned with it alone: there a wide box lets the alignment begin from farther off.
+_WIDE_BOX = 31
 # Grey levels a pixel below which an edge drowns in sensor noise; keeps a flat ceiling near zero.
 _NOISE_FLOOR = 1.5
 # A person: darker than half the median, over 1.5 % of the view, and reaching in from its border.
@@ -24,10 +27,19 @@ def gradients(view: Image, blur: float) -> tuple[FloatImage, FloatImage]:
     return np.asarray(dx, np.float32), np.asarray(dy, np.float32)
 
 
+def gradient_magnitude(view: Image) -> FloatImage:
+    """Grey levels a pixel."""
+    return np.asarray(cv2.magnitude(*gradients(view, 1.0)), np.float32)
+
+
+def evened(magnitude: FloatImage, box: int = _BOX) -> FloatImage:
+    """Edge strength: gradient magnitude over its local mean, about 1 on average on structure, 0 on a flat ceiling."""
+    return np.asarray(magnitude / (cv2.blur(magnitude, (box, box)) + _NOISE_FLOOR), np.float32)
+
+
 def edge_strength(view: Image) -> FloatImage:
-    """Gradient magnitude over its local mean: about 1 on average on structure, 0 on a flat ceiling."""
-    magnitude = cv2.magnitude(*gradients(view, 1.0))
-    return np.asarray(magnitude / (cv2.blur(magnitude, (_BOX, _BOX)) + _NOISE_FLOOR), np.float32)
+    """That of a view, evened out widely."""
+    return evened(gradient_magnitude(view), _WIDE_BOX)
 
 
 def unoccluded(view: Image) -> Image | None:

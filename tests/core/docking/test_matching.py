@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from omnibotd.core.docking.ceiling_view import FINE, MIDDLE, CeilingView, Layer
+from omnibotd.core.docking.ceiling_view import FINE, FINEST, MIDDLE, CeilingView, Layer
 from omnibotd.core.docking.matching import Sample, align, residuals
 from omnibotd.core.docking.refinement import Refinement
 from omnibotd.core.docking.translation import ShiftSearch, ceiling_parts
@@ -121,18 +121,46 @@ def test_what_is_expected_holds_where_the_picture_says_little() -> None:
     assert along > 5.0 * across
 
 
+def test_the_finest_layer_is_made_close_to_the_target_in_other_light_only() -> None:
+    looked: list[str] = []
+
+    def seen(name: str, pose: tuple[float, float, float], noise: float) -> CeilingView:
+        plain = np.float32(image(*pose)) + np.random.default_rng(1).normal(0.0, noise, (FINE, FINE))
+        picture = np.clip(plain, 0, 255).astype(np.uint8)
+
+        def finest() -> Image:
+            looked.append(name)
+            return np.asarray(cv2.resize(picture, (FINEST, FINEST), interpolation=cv2.INTER_CUBIC), np.uint8)
+
+        return CeilingView(picture, VALID, FOCAL, None, finest)
+
+    refinement = Refinement(seen("target", (0.0, 0.0, 0.0), 0.0))
+    close, away, start = (0.01, 0.01, -0.01), (0.01, 0.06, -0.05), np.array([0.0, 0.002, 0.002])
+    refinement.refine(seen("in its light", close, 0.0), np.array(close) + start, None)
+    refinement.refine(seen("from away", away, 40.0), np.array(away) + start, None)
+    refinement.refine(seen("while tracking", close, 40.0), np.array(close) + start, (0.02, 0.02))
+    assert looked == []
+    refined = refinement.refine(seen("in the dark", close, 40.0), np.array(close) + start, None)
+    assert looked == ["target", "in the dark"]
+    assert refined.pose == pytest.approx(close, abs=0.003)
+
+
 WALLS = ((0.0, -4.0), (2.5, 0.0))  # ahead at 1/4, to the left at 2/5 of the height
 
 
 def test_finds_the_walls_of_a_corner_and_the_pose_with_them() -> None:
-    target = view(0.0, 0.0, 0.0, WALLS)
-    refinement = Refinement(target)
-    for pose in [(0.0, -0.06, 0.08), (0.2, -0.05, 0.05), (-0.1, 0.03, 0.05)]:
-        refined = refinement.refine(view(*pose, WALLS), np.array(pose) + np.array([0.01, 0.01, -0.01]), (0.02, 0.02))
-    assert refined.pose == pytest.approx(pose, abs=0.004)
-    found = refinement.walls.towards
-    for wall in WALLS:
-        assert np.hypot(*(found - wall).T).min() < 0.1 * math.hypot(*wall)
+    """The pose always; of the walls many, for three frames do not show each."""
+    found = 0
+    for drive in range(12):
+        rng, refinement = np.random.default_rng(drive), Refinement(view(0.0, 0.0, 0.0, WALLS))
+        for place in [(0.0, -0.06, 0.08), (0.2, -0.05, 0.05), (-0.1, 0.03, 0.05)]:
+            pose = np.array(place) + rng.normal(0.0, 0.01, 3)
+            start = pose + rng.normal(0.0, 0.01, 3)
+            refined = refinement.refine(view(*pose, WALLS), start, (0.02, 0.02))
+        assert refined.pose == pytest.approx(pose, abs=0.004)
+        towards = refinement.walls.towards
+        found += sum(np.hypot(*(towards - wall).T).min(initial=9.0) < 0.1 * math.hypot(*wall) for wall in WALLS)
+    assert found >= 8  # of 24
 
 
 def test_the_search_leaves_a_ceiling_without_walls_alone() -> None:
