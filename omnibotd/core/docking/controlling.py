@@ -7,6 +7,7 @@ from enum import Enum, auto
 
 from omnibotd.core.decision import Observation
 from omnibotd.core.docking.approach import Limits, SmoothApproach, Trim
+from omnibotd.core.docking.dock_filter import DockFilter
 from omnibotd.core.docking.looking import at_contact, seated
 from omnibotd.core.docking.sightings import Sightings, agree, dock_from_odom
 from omnibotd.core.docking.states import Action, Event
@@ -74,6 +75,7 @@ class Controlling:
         self._sightings = sightings
         self._map_sure = map_sure
         self.dock_from_odom = dock_from_odom
+        self._filter = DockFilter(dock_from_odom, observation.odom_from_base)
         self._approach = SmoothApproach(limits, dock_from_odom @ observation.odom_from_base)
         self._trim = Trim(limits)
         self._phase = _Phase.APPROACH
@@ -120,7 +122,8 @@ class Controlling:
         if fresh is None or fresh.verdict is Verdict.REJECTED:
             return None
         self._seen = observation.stamp
-        self.dock_from_odom = self._correction @ dock_from_odom(fresh)
+        self._filter.update(fresh)
+        self.dock_from_odom = self._correction @ self._filter.dock_from_odom
         return fresh if self._sightings.at_rest(observation, fresh) else None
 
     def _driven(self, pose: Pose2D, dt: float) -> Twist2D:
