@@ -35,6 +35,9 @@ from omnibotd.requests.status import Status
 from omnibotd.requests.teaching import Teaching, Trainer
 from omnibotd.requests.trail import Trail
 
+# Asked for while a map is being made ready, as in the first seconds after a boot, these wait for it.
+_NEED_THE_MAP = frozenset({"goto", "route", "relocalise", "dock", "undock"})
+
 
 class Requests:
     """Answers requests; long ones when their job has ended."""
@@ -49,6 +52,7 @@ class Requests:
     ) -> None:
         self.teaching = Teaching(robot, trainer, open_recorder)
         self.trail = Trail(robot)
+        self._robot = robot
         failures = Failures(robot)
         runner = Runner(robot, failures)
         docking = Docking(robot, runner)
@@ -73,16 +77,20 @@ class Requests:
         self, session: Session | None, method: str, params: dict[str, Any], feedback: Feedback
     ) -> dict[str, Any]:
         """Answer one request. Raises RpcError, whose code is the client's exit code."""
-        answer = self._methods.get(method)
-        if answer is None:
+        if method not in self._methods:
             known = ", ".join(self._methods)
             raise RpcError(METHOD_NOT_FOUND, ErrorName.INVALID, f"no method {method!r}; there are {known}")
         try:
-            return await self._whole(answer(Params(params), session, feedback))
+            return await self._whole(self._answer(method, Params(params), session, feedback))
         except (MapStoreError, RecordingError, CalibrationError) as error:
             raise RpcError.named(ErrorName.STORAGE, str(error)) from error
         except CoreError as error:
             raise RpcError.named(ErrorName.NO_MAP, str(error)) from error
+
+    async def _answer(self, method: str, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
+        if method in _NEED_THE_MAP:
+            await self._robot.until_loaded()
+        return await self._methods[method](params, session, feedback)
 
     async def _whole(self, work: Coroutine[Any, Any, dict[str, Any]]) -> dict[str, Any]:
         """A client that goes away leaves its request running: a map half edited or a file half closed helps nobody.

@@ -12,7 +12,7 @@ import numpy as np
 
 from omnibotd.calibrations import Calibrations
 from omnibotd.config import Config
-from omnibotd.control import ControlLoop, Feedback
+from omnibotd.control import PERIOD, ControlLoop, Feedback
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
@@ -59,6 +59,13 @@ class Robot:
             raise RpcError.named(ErrorName.BUSY, f"busy with {self.control.running.name}; say stop first")
         if self.perception.loading is not None:
             raise RpcError.named(ErrorName.BUSY, f"map {self.perception.loading!r} is being loaded; try again")
+
+    async def until_loaded(self) -> None:
+        """Wait for a map that is being made ready; a stop meanwhile ends the request."""
+        stops = self.stops
+        while self.perception.loading is not None:
+            await asyncio.sleep(PERIOD)
+            self.refuse_if_stopped(stops)
 
     def refuse_if_stopped(self, stops: int) -> None:
         """Where a stop came since `stops` was read."""

@@ -278,10 +278,30 @@ def test_a_trail_breaks_where_the_robot_was_carried_and_begins_anew_in_another_m
     told(story)
 
 
-def test_a_job_does_not_start_while_a_map_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_waits_for_the_map_that_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `goto` does right after a boot; and a stop ends the wait."""
+
+    async def story(robot: VirtualRobot) -> tuple[RpcError, RpcError]:
+        monkeypatch.setattr(robot.daemon.perception, "loading", "attic")
+        stopped = asyncio.create_task(refusal(robot.call("goto", place="desk")))
+        await asyncio.sleep(5.0)
+        assert not stopped.done() and robot.daemon.control.running is None
+        await robot.call("stop")
+        told_off = await stopped
+        waiting = asyncio.create_task(refusal(robot.call("goto", place="nowhere")))
+        await asyncio.sleep(5.0)
+        assert not waiting.done()
+        robot.daemon.perception.loading = None
+        return told_off, await waiting
+
+    stopped, gone_on = told(story)
+    assert (stopped.name, gone_on.name) == (ErrorName.CANCELLED, ErrorName.NO_SUCH_PLACE)
+
+
+def test_driving_by_hand_is_refused_while_a_map_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(robot: VirtualRobot) -> RpcError:
         monkeypatch.setattr(robot.daemon.perception, "loading", "attic")
-        return await refusal(robot.call("goto", place="desk"))
+        return await refusal(robot.call("drive", vx=0.1, wz=0.0))
 
     error = told(story)
     assert (error.name, "'attic' is being loaded" in error.message) == (ErrorName.BUSY, True)

@@ -160,7 +160,11 @@ class Rig:
     def set_out(self, words: str) -> None:
         """Start a trip by `omnibotctl`, and wait until it drives."""
         self.guest.sh(f"(omnibotctl {words} >/tmp/trip 2>&1; echo $? >/tmp/trip.done) >/dev/null 2>&1 &")
-        self.outside.do(self.outside.until(lambda: self.outside.robot.driven))
+        try:
+            self.outside.do(self.outside.until(lambda: self.outside.robot.driven))
+        except TimeoutError as error:
+            said = self.guest.sh("cat /tmp/trip.done /tmp/trip; omnibotctl status", check=False)
+            raise GuestError(f"does not drive for {words!r} from {self.outside.robot.pose}: {said}") from error
 
     def stopped(self) -> float:
         """Seconds of the world until no wheel is driven."""
