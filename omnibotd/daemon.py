@@ -120,6 +120,7 @@ class Daemon:
             self.recogniser.run,
             self.requests.teaching.watch_recording,
             self.requests.trail.watch,
+            self.requests.dock_watch.watch,
             self._report_readiness,
         ]
 

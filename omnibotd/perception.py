@@ -193,18 +193,27 @@ class Perception:
                 self._control.note_homing(homing)
 
     def _home(self, request: HomingRequest, frame: Frame, odom_from_base: Pose2D) -> HomingEstimate | None:
-        """Runs on the worker: register the frame with the dock's snapshot (prepared once a dock)."""
-        topo_map, model = self.topo_map, self.model
-        if topo_map is None or model is None or request.dock not in topo_map.docks:
+        """Runs on the worker: register the frame with the dock's views."""
+        registration = self.lights_at(request.dock)
+        if registration is None:
             return None
-        if self._registration is None or self._registration[0] != request.dock:
-            self._registration = (request.dock, self.lights_of(topo_map, topo_map.docks[request.dock], model))
-        registration = self._registration[1]
-        if self._localizer is not None:
-            frame = replace(frame, dirty=self._localizer.dirty)
+        frame = self.marked(frame)
         if request.dock_from_odom is None:
             return registration.fix(frame, odom_from_base)
         return registration.track(frame, odom_from_base, request.dock_from_odom @ odom_from_base)
+
+    def lights_at(self, dock: str) -> Lights | None:
+        """The views of a dock of the map in use, prepared once; on the worker. None without that dock or a lens."""
+        topo_map, model = self.topo_map, self.model
+        if topo_map is None or model is None or dock not in topo_map.docks:
+            return None
+        if self._registration is None or self._registration[0] != dock:
+            self._registration = (dock, self.lights_of(topo_map, topo_map.docks[dock], model))
+        return self._registration[1]
+
+    def marked(self, frame: Frame) -> Frame:
+        """The frame, and where the lens is known to be dirty."""
+        return frame if self._localizer is None else replace(frame, dirty=self._localizer.dirty)
 
     @property
     def dirt(self) -> float:

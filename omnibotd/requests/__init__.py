@@ -19,6 +19,7 @@ from omnibotd.io.recording import RecordingError
 from omnibotd.lens_fitting import LensFitter, fit_in_child
 from omnibotd.requests.calibrating import Calibrating
 from omnibotd.requests.dock_views import DockViews
+from omnibotd.requests.dock_watch import DockWatch
 from omnibotd.requests.docking import Docking
 from omnibotd.requests.doctor import Doctor
 from omnibotd.requests.driving import Driving
@@ -56,6 +57,7 @@ class Requests:
         failures = Failures(robot)
         runner = Runner(robot, failures)
         docking = Docking(robot, runner)
+        self.dock_watch = DockWatch(robot, docking)
         groups = (
             Status(robot, self.teaching, failures),
             Doctor(robot),

@@ -21,6 +21,7 @@ from omnibotd.requests.params import Params, pose_values
 from omnibotd.requests.robot import Method, Robot
 
 SAME_DOCK, SAME_DOCK_YAW = 0.05, math.radians(5.0)  # m, rad; farther off, the dock was moved
+VIEW_QUALITY = 95  # of a view's JPEG: in the dark edges are a few grey levels
 ON_TRUST = "the dock was not recognised in this light: the new view counts as taken where the contact holds the robot"
 
 
@@ -47,10 +48,8 @@ class DockViews:
         params.end()
         known = self._robot.active_map().docks.get(name)
         self._robot.refuse_if_busy()
-        frame = self._robot.camera.latest
-        if frame is None or not self._robot.camera.ok(self._robot.now()):
-            raise RpcError.named(ErrorName.CAMERA_DOWN, f"no picture of the dock: {self._robot.camera.reason}")
-        jpeg = await self._robot.off_loop(frame.jpeg)
+        frame = await self._robot.still()
+        jpeg = await self._robot.off_loop(frame.jpeg, VIEW_QUALITY)
         standing = await self._standing(name, known, frame) if known is not None and not fresh else None
         if standing is None or known is None:
             dock = Dock(self._robot.sure_pose(f"dock {name!r}"), (DockView(jpeg),))

@@ -68,6 +68,16 @@ class Docking:
             return None
         return docked.dock_from_base
 
+    def resting_in(self) -> str | None:
+        """The dock in which the robot seems to rest with nothing to do, by a method that measures in metres."""
+        robot = self._robot
+        topo_map, latest = robot.perception.topo_map, robot.base.latest
+        idle = not robot.control.moving and robot.control.recorder is None and robot.perception.loading is None
+        if not idle or topo_map is None or topo_map.method == "thesis":
+            return None
+        # A contact that is open tells that it is not in its dock; a base that has none tells nothing.
+        return None if latest is None or latest.charging is False else self._likely()
+
     async def _dock(self, params: Params, session: Session | None, feedback: Feedback) -> dict[str, Any]:
         name = params.name("name") if "name" in params else None
         trials = params.whole("trials", None, 1, MAX_TRIALS) if "trials" in params else None

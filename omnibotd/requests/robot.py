@@ -18,6 +18,7 @@ from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.mapping.topo_map import TopoMap
 from omnibotd.core.navigation.navigator import SURE
+from omnibotd.core.vision.frame import Frame, mean_of
 from omnibotd.io.camera import Camera
 from omnibotd.io.control_server import Session
 from omnibotd.io.map_store import MapStore, MapStoreError
@@ -25,6 +26,8 @@ from omnibotd.io.motor_base import MotorBase
 from omnibotd.perception import OffLoop, Perception
 from omnibotd.recognition import Recogniser
 from omnibotd.requests.params import Params
+
+STILL_FRAMES, STILL_TIME = 8, 5.0  # for one picture without noise, and the seconds they may take
 
 Method = Callable[[Params, Session | None, Feedback], Coroutine[Any, Any, dict[str, Any]]]
 
@@ -102,6 +105,21 @@ class Robot:
         if self.calibrations is None:
             raise RpcError.named(ErrorName.STORAGE, "this daemon keeps no calibrations")
         return self.calibrations
+
+    async def still(self) -> Frame:
+        """What a robot at rest sees, the mean of a few frames: in the dark one is mostly noise. Raises RpcError."""
+        frames: list[Frame] = []
+        began = self.now()
+        try:
+            async with asyncio.timeout(STILL_TIME):
+                while len(frames) < STILL_FRAMES:
+                    frames.append(await self.camera.wait_newer(frames[-1].stamp if frames else began))
+        except TimeoutError:
+            reason = self.camera.reason or f"{len(frames)} pictures came in {STILL_TIME:.0f} s"
+            raise RpcError.named(ErrorName.CAMERA_DOWN, f"no picture of the dock: {reason}") from None
+        if self.control.moved_at >= began:
+            raise RpcError.named(ErrorName.BUSY, "the robot was driven while it looked; let it rest")
+        return await self.off_loop(mean_of, frames)  # type: ignore[no-any-return]
 
     def is_active(self, name: str) -> bool:
         return self.perception.topo_map is not None and self.perception.topo_map.name == name

@@ -90,6 +90,14 @@ def test_from_afar_is_from_elsewhere(tmp_path, kept) -> None:
     assert result["summary"]["docking"]["docked"] == 2
 
 
+def test_a_robot_that_has_rested_in_its_dock_docks_by_night(tmp_path, kept) -> None:
+    result = _evaluated(tmp_path, "rested", kept, "--runs", "2", "--condition", "night")
+    assert {run["condition"] for run in result["runs"]} == {"night"}
+    docking = result["summary"]["docking"]
+    assert (docking["docked"], docking["false_docked"]) == (2, 0)
+    assert docking["max_m"] < 0.01
+
+
 def test_the_thesis_docks_by_its_own_procedure(tmp_path, kept) -> None:
     result = _evaluated(tmp_path, "dock", kept, "--runs", "1", "--open", "--preset", "thesis")
     (run,) = result["runs"]

@@ -45,6 +45,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "outside": carried.outside,
     "light": experiments.light,
     "dock": docking.dock,
+    "rested": docking.rested,
     "afar": docking.afar,
     "starts": experiments.starts,
 }

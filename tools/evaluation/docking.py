@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import statistics
 from collections.abc import Mapping, Sequence
@@ -10,8 +11,10 @@ from dataclasses import asdict, dataclass
 from omnibotd.control_protocol import RpcError
 from omnibotd.core.error_name import ErrorName
 from omnibotd.core.geometry import Pose2D
+from omnibotd.requests.dock_watch import PERIOD
 from tools.evaluation.course import RUN_LIMIT, Course
 from tools.evaluation.summary import DOCKED, Run
+from tools.sim.conditions import LIGHTS
 from tools.sim.teacher import Teacher, save_dock
 from tools.sim.virtual_robot import somewhere
 from tools.sim.world_plugin import World
@@ -19,6 +22,7 @@ from tools.sim.world_plugin import World
 DOCK = "dock"
 RADIUS = 1.0  # m round the dock from which docking starts
 LIMIT = 1200.0  # s; the thesis' method, lost, makes 60 steps before it gives up
+REST = 2.5 * PERIOD  # s of each light: two looks of the robot's at it
 # Docked within this it stands in the dock; who says so elsewhere is wrong.
 GOOD_M, GOOD_RAD = 0.02, math.radians(1.0)
 
@@ -31,7 +35,19 @@ def in_the_open(world: World) -> tuple[float, float, float]:
 
 async def dock(course: Course) -> list[Run]:
     """From random free poses within a metre of the dock, at any heading, to which the robot was carried."""
+    return await _from_near(course, await _saved(course))
+
+
+async def rested(course: Course) -> list[Run]:
+    """As `dock`, of a robot that has rested in its dock before while every light came and went."""
     goal = await _saved(course)
+    for light in (None, *LIGHTS):
+        course.stage.enter([light] if light else [])
+        await asyncio.sleep(REST)
+    return await _from_near(course, goal)
+
+
+async def _from_near(course: Course, goal: Pose2D) -> list[Run]:
     runs: list[Run] = []
     for number in range(course.plan.runs):
         course.enter(number=number)

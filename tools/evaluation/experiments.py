@@ -14,7 +14,7 @@ from tools.sim.teacher import NEAR_DOCK, Area, free_point
 from tools.sim.virtual_robot import somewhere
 from tools.sim.world_plugin import World
 
-AT_THE_DOCK = ("dock", "afar")
+AT_THE_DOCK = ("dock", "rested", "afar")
 
 Experiment = Callable[[Course], Awaitable[list[Run]]]
 

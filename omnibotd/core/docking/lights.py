@@ -18,6 +18,8 @@ from omnibotd.core.vision.frame import Frame
 MAX_VIEWS = 4
 # Correlation from which two views are of one light: the later one takes the other's place.
 SAME_LIGHT = 0.9
+# And from which a frame, blurred and smudged as it may be, is of a view's light: no other will tell more.
+OWN_LIGHT = 0.75
 _RANK = {Verdict.REJECTED: 0, Verdict.AMBIGUOUS: 1, Verdict.ACCEPTED: 2}
 
 
@@ -52,48 +54,53 @@ def with_view(views: Sequence[DockView], view: DockView, likeness: Sequence[floa
 
 
 class Lights:
-    """The views of one dock. The one that served last is asked first, the others only where it is not sure."""
+    """The views of one dock. The one that served last is asked first, the others where the light is not its own."""
 
     def __init__(self, lights: Sequence[Light]) -> None:
         """At least one."""
         self._given = tuple(lights)
         self._lights = list(lights)
+        self._turn = 0  # whose it is to be compared with the view that serves
 
     def fix(self, frame: Frame, odom_from_base: Pose2D) -> HomingEstimate:
         """From nothing: the surest answer, and of those the best match."""
         answers = []
         for light in self._lights:
             answers.append((_in_dock(light.homing.fix(frame, odom_from_base), light), light))
-            if answers[-1][0].verdict is Verdict.ACCEPTED:
+            if _in_its_light(answers[-1][0]):
                 break
-        best, light = max(answers, key=lambda answer: _worth(answer[0]))
-        self._prefer(light)
-        return best
+        return self._best(answers)
 
     def track(self, frame: Frame, odom_from_base: Pose2D, prior: Pose2D) -> HomingEstimate:
-        """From `prior`, the dock_from_base expected; another view only where the one that serves has lost it."""
-        first = self._track(self._lights[0], frame, odom_from_base, prior)
-        if first.verdict is not Verdict.REJECTED:
+        """From `prior`, the dock_from_base expected. In a light that is not its own, the view that serves is compared
+        with one of the others in turn; where it has lost the dock, with all of them."""
+        serving, *others = self._lights
+        first = _track(serving, frame, odom_from_base, prior)
+        if not others or _in_its_light(first):
             return first
-        for light in self._lights[1:]:
-            found = self._track(light, frame, odom_from_base, prior)
-            if found.verdict is not Verdict.REJECTED:
-                self._prefer(light)
-                return found
-        return first
+        if first.verdict is not Verdict.REJECTED:
+            self._turn += 1
+            others = [others[self._turn % len(others)]]
+        found = [(_track(light, frame, odom_from_base, prior), light) for light in others]
+        return self._best([(first, serving), *found])
 
-    @staticmethod
-    def _track(light: Light, frame: Frame, odom_from_base: Pose2D, prior: Pose2D) -> HomingEstimate:
-        expected = light.dock_from_view.inverse() @ prior
-        return _in_dock(light.homing.track(frame, odom_from_base, expected), light)
-
-    def each_of(self, frame: Frame) -> list[HomingEstimate]:
-        """What each view, in the order given at first, makes of a frame."""
-        return [_in_dock(light.homing.fix(frame, Pose2D()), light) for light in self._given]
-
-    def _prefer(self, light: Light) -> None:
+    def _best(self, answers: Sequence[tuple[HomingEstimate, Light]]) -> HomingEstimate:
+        """The view it comes from serves from now on."""
+        best, light = max(answers, key=lambda answer: _worth(answer[0]))
         self._lights.remove(light)
         self._lights.insert(0, light)
+        return best
+
+    def each_of(self, frame: Frame, prior: Pose2D | None = None) -> list[HomingEstimate]:
+        """What each view, in the order given at first, makes of a frame: from nothing, or from the pose expected."""
+        if prior is not None:
+            return [_track(light, frame, Pose2D(), prior) for light in self._given]
+        return [_in_dock(light.homing.fix(frame, Pose2D()), light) for light in self._given]
+
+
+def _track(light: Light, frame: Frame, odom_from_base: Pose2D, prior: Pose2D) -> HomingEstimate:
+    expected = light.dock_from_view.inverse() @ prior
+    return _in_dock(light.homing.track(frame, odom_from_base, expected), light)
 
 
 def _in_dock(estimate: HomingEstimate, light: Light) -> HomingEstimate:
@@ -103,6 +110,10 @@ def _in_dock(estimate: HomingEstimate, light: Light) -> HomingEstimate:
     c, s = math.cos(light.dock_from_view.yaw), math.sin(light.dock_from_view.yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return replace(estimate, dock_from_base=pose, covariance=turn @ estimate.covariance @ turn.T)
+
+
+def _in_its_light(estimate: HomingEstimate) -> bool:
+    return estimate.verdict is Verdict.ACCEPTED and estimate.score >= OWN_LIGHT
 
 
 def _worth(estimate: HomingEstimate) -> tuple[int, float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -57,3 +58,9 @@ class Frame:
         if isinstance(self.data, bytes):
             return self.data
         return bytes(cv2.imencode(".jpg", self.data, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+
+
+def mean_of(frames: Sequence[Frame]) -> Frame:
+    """Frames from one place as one with less noise, grey, with the stamp of the last; FrameError as of `Frame.grey`."""
+    total = np.sum([frame.grey() for frame in frames], axis=0, dtype=np.float32)
+    return replace(frames[-1], data=np.asarray(np.round(total / len(frames)), np.uint8))

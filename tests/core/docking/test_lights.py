@@ -73,6 +73,23 @@ def test_what_is_unsure_ahead_of_a_turned_view_is_unsure_across_for_the_dock() -
     assert found == pytest.approx(np.diag([0.01, 0.04, 0.09]))
 
 
+def test_the_view_of_this_light_counts_before_one_that_is_sure_all_the_same() -> None:
+    day, night = Eye(Verdict.ACCEPTED, 0.5), Eye(Verdict.ACCEPTED, 0.8)
+    assert lights(day, night).fix(FRAME, Pose2D()).score == 0.8
+
+
+def test_tracking_finds_the_view_of_this_light_while_another_serves() -> None:
+    """One more a frame: three views would take three times as long."""
+    day, dusk, night = Eye(Verdict.ACCEPTED, 0.5), Eye(Verdict.ACCEPTED, 0.45), Eye(Verdict.ACCEPTED, 0.8)
+    several = lights(day, dusk, night)
+    scores = [several.track(FRAME, Pose2D(), HERE).score for _ in range(4)]
+    assert scores == sorted(scores) and scores[-1] == 0.8
+    assert len(day.asked) + len(dusk.asked) + len(night.asked) <= 2 * 4
+    before = len(day.asked), len(dusk.asked)
+    several.track(FRAME, Pose2D(), HERE)
+    assert (len(day.asked), len(dusk.asked)) == before
+
+
 def test_tracking_stays_with_its_view_until_that_has_lost_it() -> None:
     moved = Pose2D(0.01, -0.02, 0.1)
     first, second = Eye(Verdict.ACCEPTED, 0.8), Eye(Verdict.ACCEPTED, 0.9, moved)
