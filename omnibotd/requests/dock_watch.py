@@ -32,7 +32,8 @@ KNOWN, CARRIED = 0.85, 0.25
 # A light less like the views than this is worth a view, by how many there are: the fewer places are left (of
 # lights.MAX_VIEWS), the more it must tell.
 NEW_LIGHT = {1: 0.85, 2: 0.8, 3: 0.7}
-# By so much a look must be more like the last one than like any view: then this light has come to stay.
+# By so much a frame must be more like the last look than like any view: then this light has come to stay, and a view of
+# it would tell more.
 LIKER = 0.1
 # An estimate in another light errs by less than this (m, rad) where the robot still stands.
 NEAR, NEAR_YAW = 0.06, math.radians(3.0)
@@ -41,7 +42,7 @@ NEAR, NEAR_YAW = 0.06, math.radians(3.0)
 @dataclass(frozen=True, slots=True)
 class _Stay:
     """Where in a dock the robot has been standing since `seen` (s), by the best look (its correlation is `score`), and
-    what it saw last in a light without a view."""
+    what it saw at the last look, if that was in a light without a view."""
 
     dock: str
     dock_from_base: Pose2D
@@ -71,10 +72,10 @@ class DockWatch:
         robot, now, name = self._robot, self._robot.now(), self._docking.resting_in()
         # Whatever happens from here on, the robot is known to stand there only if it was seen.
         stay, self._stay = self._still(name), None
-        topo_map = robot.perception.topo_map
-        if name is None or topo_map is None or not robot.camera.ok(now):
+        topo_map, frame = robot.perception.topo_map, robot.camera.latest
+        if name is None or topo_map is None or frame is None or not robot.camera.ok(now):
             return
-        dock, odom, frame = topo_map.docks[name], robot.control.odometry.odom_from_base, await robot.still()
+        dock, odom = topo_map.docks[name], robot.control.odometry.odom_from_base
         best = await robot.off_loop(self._seen, name, frame, stay)
         if best is None:
             return
@@ -104,14 +105,11 @@ class DockWatch:
         return max(seen, key=lambda estimate: estimate.score)
 
     async def _news(self, topo_map: TopoMap, dock: Dock, stay: _Stay, frame: Frame, score: float) -> Frame | None:
-        """Keeps a view if the light was this at the last look, too; else returns the frame to compare the next with.
-
-        `score` is how like the views the frame is.
-        """
+        """Keeps the last look as a view if the frame is more like it than like any view (`score`); else looks anew."""
         robot = self._robot
         if stay.news is None or await robot.off_loop(self._likeness, topo_map, stay.news, frame) < score + LIKER:
-            return frame
-        view = DockView(await robot.off_loop(frame.jpeg, VIEW_QUALITY), stay.dock_from_base)
+            return await robot.still()
+        view = DockView(await robot.off_loop(stay.news.jpeg, VIEW_QUALITY), stay.dock_from_base)
 
         def added(newest: TopoMap) -> TopoMap:
             unchanged = newest.docks.get(stay.dock) is dock
@@ -123,7 +121,7 @@ class DockWatch:
         return None
 
     def _likeness(self, topo_map: TopoMap, before: Frame, frame: Frame) -> float:
-        """On the worker: the correlation of two frames from here."""
+        """On the worker: the correlation of a frame with one from before, as a view."""
         perception = self._robot.perception
         if perception.model is None:
             return 0.0
