@@ -45,6 +45,7 @@ class _Stay:
     what it saw at the last look, if that was in a light without a view."""
 
     dock: str
+    map_from_dock: Pose2D  # another one where the dock was saved afresh
     dock_from_base: Pose2D
     score: float
     odom_from_base: Pose2D
@@ -82,7 +83,7 @@ class DockWatch:
         pose, known = best.dock_from_base, best.score >= KNOWN and best.verdict is Verdict.ACCEPTED
         if known and (stay is None or best.score > stay.score):
             if agree(pose, Pose2D(), SAME_DOCK, SAME_DOCK_YAW):
-                self._stay = _Stay(name, pose, best.score, odom, now)
+                self._stay = _Stay(name, dock.map_from_dock, pose, best.score, odom, now)
         elif stay is not None and best.score >= CARRIED and agree(pose, stay.dock_from_base, NEAR, NEAR_YAW):
             new = best.score < NEW_LIGHT.get(len(dock.views), 0.0)
             news = await self._news(topo_map, dock, stay, frame, best.score) if new else None
@@ -91,7 +92,11 @@ class DockWatch:
     def _still(self, name: str | None) -> _Stay | None:
         """The stay, if it goes on."""
         stay, control = self._stay, self._robot.control
-        if stay is None or stay.dock != name or control.moved_at > stay.seen:
+        topo_map = self._robot.perception.topo_map
+        dock = None if topo_map is None or name is None else topo_map.docks[name]
+        if stay is None or dock is None or stay.dock != name or control.moved_at > stay.seen:
+            return None
+        if stay.map_from_dock != dock.map_from_dock:
             return None
         return stay if agree(stay.odom_from_base, control.odometry.odom_from_base, UNMOVED, UNMOVED_YAW) else None
 
@@ -117,7 +122,7 @@ class DockWatch:
 
         if robot.control.moved_at <= stay.seen:
             await robot.edit(added)
-            log.info("dock %s: the light has changed, kept how it looks now (view %d)", stay.dock, len(dock.views) + 1)
+            log.info("dock %s: kept a view of it in another light (view %d)", stay.dock, len(dock.views) + 1)
         return None
 
     def _likeness(self, topo_map: TopoMap, before: Frame, frame: Frame) -> float:

@@ -133,6 +133,18 @@ def test_one_that_was_pushed_askew_says_so_in_the_view_it_keeps() -> None:
     assert (pose.x, pose.y, pose.yaw) == pytest.approx((-0.004, 0.006, 0.02), abs=0.004)
 
 
+def test_a_dock_saved_afresh_is_where_the_robot_stands_then() -> None:
+    async def story(robot: VirtualRobot, stage: Stage) -> None:
+        robot.teleport(Pose2D(*stage.dock) @ Pose2D(0.0, 0.0, 0.03))
+        await looks(1.5)
+        topo_map = robot.store.load("flat")
+        moved = Dock(Pose2D(0.0, 0.0, 0.03), topo_map.docks["home"].views)
+        await robot.daemon.requests.dock_watch._robot.edit(lambda newest: newest.with_dock("home", moved))
+        await night_falls(stage)
+
+    assert len(dock_after(story).views) == 1
+
+
 def test_it_never_replaces_a_view_and_stops_at_four() -> None:
     async def story(robot: VirtualRobot, stage: Stage) -> None:
         topo_map = robot.store.load("flat")
