@@ -179,7 +179,8 @@ def main() -> int:
     except PackageError as error:
         print(f"tools/package: {error}", file=sys.stderr)
         return 1
-    print(f"{path}\ninstall it, as root: apt-get install {path}")
+    print(path)
+    print(f"install it, as root: apt-get install {path}", file=sys.stderr)
     return 0
 
 
