@@ -65,7 +65,7 @@ class Recogniser:
             await asyncio.sleep(PERIOD)
             if self._confidence() >= SURE:
                 self._last = None  # it knows its way: not to know it any more will be news
-            self._unsure = self._unsure + 1 if self._idle() and self._confidence() < SURE else 0
+            self._unsure = self._unsure + 1 if self.idle() and self._confidence() < SURE else 0
             if self._unsure >= FRAMES:
                 self._unsure = 0
                 if await self._elsewhere():
@@ -85,7 +85,7 @@ class Recogniser:
         """Try the other maps now; the name of the one switched to, None where none is the clear winner."""
         async with self._attempting:
             names = await asyncio.to_thread(self._others)
-            if not names or not self._idle() or self._confidence() >= SURE:
+            if not names or not self.idle() or self._confidence() >= SURE:
                 return None
             shown = await self._look()
             if not shown:
@@ -107,7 +107,8 @@ class Recogniser:
         except CoreError as error:
             log.warning("frame not used: %s", error)
 
-    def _idle(self) -> bool:
+    def idle(self) -> bool:
+        """Whether the robot has nothing to do: no job, nobody at the wheels, nothing recorded, no map being loaded."""
         return not self._control.moving and self._control.recorder is None and self._perception.loading is None
 
     def _confidence(self) -> float:
@@ -150,7 +151,7 @@ class Recogniser:
             self._control.absorb()
             shown.append((frame, self._control.odometry.at(frame.stamp)))
             stamp = frame.stamp + FRAME_GAP
-            if not self._idle():
+            if not self.idle():
                 return []
         return shown
 
@@ -172,7 +173,7 @@ class Recogniser:
                 log.info("map %s knows this view with confidence %.2f", name, known[name])
             except (MapStoreError, CoreError) as error:
                 log.warning("map %s not considered: %s", name, error)
-            if not self._idle():
+            if not self.idle():
                 return {}
         return known
 
@@ -199,7 +200,7 @@ class Recogniser:
         before = self._perception.topo_map.name if self._perception.topo_map else None
         try:
             topo_map = await asyncio.to_thread(self._store.load, name)
-            if not self._idle():
+            if not self.idle():
                 return None
             await self._perception.use(topo_map)
             await asyncio.to_thread(self._store.set_active, name)

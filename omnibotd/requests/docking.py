@@ -72,8 +72,7 @@ class Docking:
         """The dock in which the robot seems to rest with nothing to do, by a method that measures in metres."""
         robot = self._robot
         topo_map, latest = robot.perception.topo_map, robot.base.latest
-        idle = not robot.control.moving and robot.control.recorder is None and robot.perception.loading is None
-        if not idle or topo_map is None or topo_map.method == "thesis":
+        if not robot.recogniser.idle() or topo_map is None or topo_map.method == "thesis":
             return None
         # A contact that is open tells that it is not in its dock; a base that has none tells nothing.
         return None if latest is None or latest.charging is False else self._likely()

@@ -11,8 +11,8 @@ from omnibotd.core.percept import HomingEstimate
 
 # Variance that driving a metre adds (m2, rad2): wheels of a cheap base slip. And the share of a turn it is wrong by.
 _SLIP, _SLIP_YAW, _TURN = 0.005**2, 0.025**2, 0.02**2
-# A fix this many times vaguer (in variance) than what is known counts no more; one that is no vaguer counts alone.
-_VAGUER = 2.0
+# A fix this many times surer (in variance) than what is known counts alone; one that is no surer, not at all.
+_SURER = 2.0
 # Variances of a pose of which nothing is known, and of a fix that doesn't say its own.
 _UNKNOWN, _SURE = 1e6, 1e-12
 # An innovation of more sigmas than this was no noise: the wheels spun, or the fixes before were wrong.
@@ -56,9 +56,10 @@ def _noise(fix: HomingEstimate) -> tuple[float, float]:
 def _share(variance: float, noise: float, surprise: float) -> tuple[float, float]:
     """What share of the innovation, whose square is `surprise`, to take; and the variance then.
 
-    Fixes from one place err alike, so that many of them know no more than one: none is averaged with another.
+    Fixes from one place err alike, so that many of them know no more than one: none is averaged with another, and a
+    vaguer one counts for nothing however often it is repeated.
     """
     if surprise > _SURPRISE**2 * (variance + noise):
         variance = surprise
-    share = min(max((_VAGUER - noise / variance) / (_VAGUER - 1.0), 0.0), 1.0)
+    share = min(max((variance / noise - 1.0) / (_SURER - 1.0), 0.0), 1.0)
     return share, (1.0 - share) * variance + share * noise

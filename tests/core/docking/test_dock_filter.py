@@ -53,6 +53,15 @@ def test_who_backed_out_of_the_dock_is_not_misled_by_fixes_from_afar() -> None:
     assert base_at(known, DOCK).distance(Pose2D()) < 0.012
 
 
+def test_a_little_vaguer_fixes_do_not_wear_down_what_is_known() -> None:
+    """Eight centimetres back to mend what the dock itself showed, and looking there for a while."""
+    known = started(fix(Pose2D(), 0.004))
+    back = Pose2D(-0.08)
+    for _ in range(30):
+        known.update(fix(Pose2D(-0.088, -0.006), 0.005, DOCK @ back))
+    assert base_at(known, DOCK @ back).distance(back) < 0.001
+
+
 def test_what_is_seen_from_near_overrules_what_was_seen_from_afar() -> None:
     known = started(fix(Pose2D(-0.5, 0.04, 0.0), 0.03, DOCK @ Pose2D(-0.5)))
     for k in range(50):
