@@ -23,8 +23,8 @@ _PARALLAX, _EXPLAINED, _WALL_GAIN = 0.01, 0.15, 0.02
 _LOOK_EVERY = 3
 # Walls not known of make the target seem farther away than it is.
 _NEARER = (1.0, 0.6)
-# Correlation from which walls are believed and remembered, and the most of what is known that a frame makes forgotten.
-_BELIEVED, _FADED = 0.35, 0.1
+# Correlation from which walls are believed and remembered, and how much of what is known each frame forgets.
+_BELIEVED, _FADED = 0.35, 0.9
 # Ceiling heights from the target within which a fix from nothing is worth the time to look at the finest layer, and
 # the correlation above which that tells nothing new: in the light that the target was seen in.
 _CLOSE, _SAME_LIGHT = 0.03, 0.8
@@ -117,7 +117,7 @@ class Refinement:
             walls = walls.moved(walls.towards + _bounded(step[3:].reshape(-1, 2), walls.towards))
             if np.abs(step[:3]).max() * layer.focal < _ENOUGH[layer.size]:
                 break
-        known = replace(walls, information=_learnt(first.information, _marginal(normal)))
+        known = replace(walls, information=_FADED * first.information + _marginal(normal))
         covariance = np.asarray(noise * np.linalg.inv(system)[:3, :3], np.float64)
         return Refined(pose, covariance, known, float(found.misfit(sample.chance)[0]), float(found.correlation()[0]))
 
@@ -135,12 +135,6 @@ def _normal(sample: Sample, found: Residuals, pose: Poses, walls: Walls) -> tupl
     normal[:3, :3] += 0.1 * np.eye(3)
     noise = _ALIKE * float((weight * difference**2).sum() / max(float(weight.sum()), 1.0))
     return normal, (weighted @ difference).astype(np.float64), noise
-
-
-def _learnt(known: Doubles, new: Doubles) -> Doubles:
-    """Both, with as much forgotten as is new: a robot that stands in its dock learns nothing of the walls there."""
-    forgotten = min(_FADED, float(new.trace()) / max(float(known.trace()), 1e-9))
-    return np.asarray((1.0 - forgotten) * known + new, np.float64)
 
 
 def _marginal(normal: Doubles) -> Doubles:

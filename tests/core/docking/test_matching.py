@@ -163,24 +163,6 @@ def test_finds_the_walls_of_a_corner_and_the_pose_with_them() -> None:
     assert found >= 8  # of 24
 
 
-def test_standing_in_the_dock_does_not_forget_the_walls() -> None:
-    """From there nothing tells how near they are, and in other light what is seen differs from the target."""
-    rng, refinement = np.random.default_rng(1), Refinement(view(0.0, 0.0, 0.0, WALLS))
-
-    def look(u: float, v: float, noise: float) -> None:
-        seen = np.clip(image(0.0, u, v, WALLS) + rng.normal(0.0, noise, (FINE, FINE)), 0, 255).astype(np.uint8)
-        refinement.refine(CeilingView(seen, VALID, FOCAL, None), np.array([0.0, u, v]), (0.02, 0.01))
-
-    for k in range(12):
-        look(-0.06, 0.08 - 0.004 * k, 0.0)
-    walls = refinement.walls
-    for _ in range(60):
-        look(*rng.normal(0.0, 0.001, 2), 30.0)
-    assert len(walls) > 0
-    moved = np.hypot(*(refinement.walls.towards - walls.towards).T) / np.hypot(*walls.towards.T)
-    assert moved.max() < 0.1
-
-
 def test_the_search_leaves_a_ceiling_without_walls_alone() -> None:
     pose = (0.1, 0.08, -0.1)
     search = WallSearch(Sample.of(TARGET.layer(MIDDLE), 32))
