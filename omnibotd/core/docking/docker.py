@@ -167,9 +167,9 @@ class Docker:
             self._looking = Looking(self._sightings, observation.stamp, _PERCEPTION_TIME, self._map_says)
         result = self._looking.step(observation)
         located = self._looking.located
-        if result is Event.CHARGING and located is not None and self._driven and self._doubts < _MAX_DOUBTS:
-            return Event.CHARGING if seated(located.dock_from_base) else Event.LOCATED
-        return result
+        if result is not Event.CHARGING or located is None or not self._driven or seated(located.dock_from_base):
+            return result
+        return Event.LOCATED if self._doubts < _MAX_DOUBTS else Event.STUCK
 
     def _control(self, observation: Observation) -> Event | Action:
         assert self._run is not None, "CONTROLLING is entered with a run"

@@ -43,6 +43,7 @@ TRANSITIONS: Mapping[State, Mapping[Event, State]] = {
         Event.LOCATED: State.CONTROLLING,
         Event.CHARGING: State.DOCKED,
         Event.UNSEEN: State.RETRY,
+        Event.STUCK: State.RETRY,
         **_ABORT,
     },
     State.CONTROLLING: {

@@ -467,6 +467,24 @@ def test_askew_on_its_contact_it_tries_again_and_at_last_takes_what_it_has(attem
     assert decision.outcome is not None and decision.outcome.error is None
 
 
+def test_on_its_contact_beside_its_place_it_comes_again_rather_than_stay() -> None:
+    """What is tracked is 3 cm from what a fix from nothing says, until it has backed out."""
+
+    def tracked_beside(estimate: HomingEstimate, full: bool) -> HomingEstimate:
+        beside = replace(estimate.dock_from_base, x=estimate.dock_from_base.x + 0.02, y=estimate.dock_from_base.y - 0.02)
+        return estimate if full or came_again(stage) else replace(estimate, dock_from_base=beside)
+
+    stage = Stage(START, bend_estimate=tracked_beside)
+    stage.bend_observation = lambda seen: replace(seen, charging=abs(stage.dock_from_base.x) < 0.05)
+    assert stage.until(seconds=200.0).state == State.DOCKED
+    assert came_again(stage)
+    assert math.hypot(stage.dock_from_base.x, stage.dock_from_base.y) <= 0.004
+
+
+def came_again(stage: Stage) -> bool:
+    return any(decision.recoveries > 0 for decision in stage.decisions)
+
+
 def test_charging_on_a_cable_is_not_docked() -> None:
     """It charges from the start, half a metre away: only at the dock that counts."""
     stage = Stage(START, charging=True)
