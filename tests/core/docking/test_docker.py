@@ -471,7 +471,8 @@ def test_on_its_contact_beside_its_place_it_comes_again_rather_than_stay() -> No
     """What is tracked is 3 cm from what a fix from nothing says, until it has backed out."""
 
     def tracked_beside(estimate: HomingEstimate, full: bool) -> HomingEstimate:
-        beside = replace(estimate.dock_from_base, x=estimate.dock_from_base.x + 0.02, y=estimate.dock_from_base.y - 0.02)
+        there = estimate.dock_from_base
+        beside = replace(there, x=there.x + 0.02, y=there.y - 0.02)
         return estimate if full or came_again(stage) else replace(estimate, dock_from_base=beside)
 
     stage = Stage(START, bend_estimate=tracked_beside)
