@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
-from omnibotd.core.docking.features import evened, gradient_magnitude, unoccluded
+from omnibotd.core.docking.features import edges, evened, unoccluded
 from omnibotd.core.docking.rectification import Lookup, Rectification, ceiling_rays, rim_rays
 from omnibotd.core.vision.camera_model import CameraModel
 from omnibotd.core.vision.frame import FloatImage, Frame, Image
@@ -64,7 +64,7 @@ class CeilingView:
 
     @cached_property
     def _magnitude(self) -> FloatImage:
-        return gradient_magnitude(self.image)
+        return edges(self.image)
 
     def feature(self, size: int) -> FloatImage:
         """Edge strength (size, size); smoothed a little where reduced, to widen the valley of an alignment."""
@@ -72,7 +72,7 @@ class CeilingView:
             return np.minimum(evened(self._magnitude), _STRONGEST)
         if size == FINEST:
             assert self._finest is not None, "asked for where there is one"
-            return np.minimum(evened(gradient_magnitude(self._finest())), _STRONGEST)
+            return np.minimum(evened(edges(self._finest())), _STRONGEST)
         small = np.asarray(cv2.resize(self._magnitude, (size, size), interpolation=cv2.INTER_AREA), np.float32)
         return np.asarray(cv2.GaussianBlur(np.minimum(evened(small), _STRONGEST), (0, 0), 0.7), np.float32)
 

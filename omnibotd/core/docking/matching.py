@@ -80,16 +80,17 @@ def _chance(value: Floats) -> float:
 class Residuals:
     """Of k poses at n points, (k, n) but for `nearness` (n,): what is out of view has no weight.
 
-    `current` and `target` are the views' edge strengths in their standard deviations; `slope_u`, `slope_v` how the
-    difference changes a height in the target's axes; `off_u`, `off_v` the points as seen from the pose, in those axes.
+    `current` and `target` are the views' edge strengths in their standard deviations; `own_slope` and `target_slope`
+    (2, k, n) half of how each changes a height along the target's axes; `off_u`, `off_v` the points as seen from the
+    pose, in those axes.
     """
 
     current: Floats
     target: Floats
     seen: Floats
     weight: Floats
-    slope_u: Floats
-    slope_v: Floats
+    own_slope: Floats
+    target_slope: Floats
     off_u: Floats
     off_v: Floats
     nearness: Floats
@@ -98,10 +99,22 @@ class Residuals:
     def difference(self) -> Floats:
         return self.current - self.target
 
+    @property
+    def slope(self) -> Floats:
+        """(2, k, n): the mean of both views' slopes converges like a second-order method (ESM)."""
+        return self.own_slope + self.target_slope
+
     def jacobian(self) -> Floats:
         """(k, 3, n) change of the difference with yaw, u, v."""
-        turn = self.slope_u * self.off_v - self.slope_v * self.off_u
-        return np.stack([turn, -self.nearness * self.slope_u, -self.nearness * self.slope_v], 1)
+        slope_u, slope_v = self.slope
+        turn = slope_u * self.off_v - slope_v * self.off_u
+        return np.stack([turn, -self.nearness * slope_u, -self.nearness * slope_v], 1)
+
+    def alikeness(self) -> Floats:
+        """(k, n): 1 where the views slope alike, 0 where they don't: there no shift makes one of the other."""
+        product = np.einsum("akn,akn->kn", self.own_slope, self.target_slope)
+        squares = (self.own_slope**2).sum(0) + (self.target_slope**2).sum(0)
+        return np.asarray(np.maximum(2.0 * product, 0.0) / (squares + np.float32(1e-6)), np.float32)
 
     def misfit(self, chance: float) -> Poses:
         """(k,): 0 fits, 1 is `chance`, the sample's."""
@@ -128,7 +141,6 @@ def residuals(sample: Sample, layer: Layer, poses: Poses, nearness: Floats) -> R
     seen = (inside > 0.99).astype(np.float32)
     current, gain = _standard(value, seen)
     target, target_gain = _standard(sample.value, seen)
-    # The mean of both views' slopes converges like a second-order method (ESM).
     half, half_target = np.float32(0.5) * focal / gain, np.float32(0.5) / target_gain
     hc, hs = half * c, half * s
     return Residuals(
@@ -136,8 +148,8 @@ def residuals(sample: Sample, layer: Layer, poses: Poses, nearness: Floats) -> R
         target=target,
         seen=seen,
         weight=_fading(current - target, seen, sample),
-        slope_u=hc * du - hs * dv + half_target * sample.slope[0],
-        slope_v=hs * du + hc * dv + half_target * sample.slope[1],
+        own_slope=np.stack([hc * du - hs * dv, hs * du + hc * dv]),
+        target_slope=half_target * sample.slope[:, None],
         off_u=off_u,
         off_v=off_v,
         nearness=nearness,

@@ -124,9 +124,10 @@ class Refinement:
 
 def _normal(sample: Sample, found: Residuals, pose: Poses, walls: Walls) -> tuple[Doubles, Doubles, float]:
     """Normal matrix and gradient over pose and walls (3 + 2m), and the noise that a unit of information has."""
-    rows, weight, difference = [found.jacobian()[0]], found.weight[0], found.difference[0]
+    rows, difference = [found.jacobian()[0]], found.difference[0]
+    weight = found.weight[0] * found.alikeness()[0]
     if len(walls):
-        along = -(found.slope_u[0] * np.float32(pose[1]) + found.slope_v[0] * np.float32(pose[2]))
+        along = -np.einsum("an,a->n", found.slope[:, 0], pose[1:].astype(np.float32))
         met = walls.met(sample.at)
         rows += [along * (met == k + 1) * sample.at for k in range(len(walls))]
     jacobian: Floats = np.concatenate(rows)
