@@ -125,8 +125,8 @@ def test_light_that_falls_off_moves_no_groove() -> None:
     """A grid of dark grooves, and a lamp beside the view whose light falls off faster than the grooves are deep."""
     column, row = np.meshgrid(np.arange(FINE), np.arange(FINE))
     grooves = cv2.GaussianBlur(np.where((column % 30 < 3) | (row % 30 < 3), -6.0, 0.0), (0, 0), 1.0)
-    evenly, aside = (np.asarray(np.rint(110.0 + grooves + light), np.uint8) for light in (0.0 * column, -0.9 * (column - 120.0)))
-    target, seen = (CeilingView(picture, VALID, FOCAL, None) for picture in (evenly, aside))
+    lit = 118.0 + grooves, 118.0 + grooves - 0.9 * (column - FINE / 2.0)
+    target, seen = (CeilingView(np.rint(picture).astype(np.uint8), VALID, FOCAL, None) for picture in lit)
     refined = Refinement(target).refine(seen, np.zeros(3), (0.02, 0.02))
     assert np.abs(refined.pose[1:]).max() * FOCAL < 0.2
     assert refined.correlation > 0.9
