@@ -36,7 +36,7 @@ _SEEING: Mapping[str, tuple[str, ...]] = {
     "decode": ("omnibotd.core.vision.frame:Frame.grey",),
     "rectify": (_DOCKING + "rectification:Lookup.__call__",),
     "edge strength, people": tuple(
-        _DOCKING + f"ceiling_view:{name}" for name in ("gradient_magnitude", "evened", "unoccluded")
+        _DOCKING + f"ceiling_view:{name}" for name in ("edges", "evened", "unoccluded")
     ),
     "layers": (_DOCKING + "ceiling_view:CeilingView.layer",),
 }
