@@ -35,9 +35,7 @@ _DOCKING, _THESIS = "omnibotd.core.docking.", "omnibotd.core.thesis.docking:"
 _SEEING: Mapping[str, tuple[str, ...]] = {
     "decode": ("omnibotd.core.vision.frame:Frame.grey",),
     "rectify": (_DOCKING + "rectification:Lookup.__call__",),
-    "edge strength, people": tuple(
-        _DOCKING + f"ceiling_view:{name}" for name in ("edges", "evened", "unoccluded")
-    ),
+    "edge strength, people": tuple(_DOCKING + f"ceiling_view:{name}" for name in ("edges", "evened", "unoccluded")),
     "layers": (_DOCKING + "ceiling_view:CeilingView.layer",),
 }
 _REFINING: Mapping[str, tuple[str, ...]] = {"refinement, walls": (_DOCKING + "refinement:Refinement.refine",)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -23,8 +22,6 @@ _FOV = math.radians(115.0)
 _REDUCTION = 2
 # Pixels a side of the layers. Each one's valley is as wide as the error the layer before leaves.
 COARSE, MIDDLE, FINE = 60, 120, 240
-# And where the others have found all they can: as fine as the camera's pixels, made from a picture decoded in full.
-FINEST = 480
 # Edges of lamps are stronger than this, and shall not outweigh everything else.
 _STRONGEST = np.float32(4.0)
 # What of a smudge lies beyond the cells it was found in, in pixels of the fine layer: a square of so many.
@@ -50,14 +47,9 @@ class Layer:
 class CeilingView:
     """What one frame shows of the ceiling; computed as far as it is asked for."""
 
-    def __init__(
-        self, image: Image, valid: Image, focal: float, rim: Image | None, finest: Callable[[], Image] | None = None
-    ) -> None:
-        """`image` is rectified, FINE pixels a side, `valid` 255 where the lens sees; `rim` (rings, 360) or None.
-
-        `finest` makes the same, FINEST pixels a side, where there is such a one.
-        """
-        self.image, self.focal, self.rim, self._finest = image, focal, rim, finest
+    def __init__(self, image: Image, valid: Image, focal: float, rim: Image | None) -> None:
+        """`image` is rectified, FINE pixels a side, `valid` 255 where the lens sees; `rim` (rings, 360) or None."""
+        self.image, self.focal, self.rim = image, focal, rim
         free = unoccluded(image)
         self._mask = valid if free is None else np.asarray(valid & free, np.uint8)
         self._layers: dict[int, Layer] = {}
@@ -70,19 +62,12 @@ class CeilingView:
         """Edge strength (size, size); smoothed a little where reduced, to widen the valley of an alignment."""
         if size == FINE:
             return np.minimum(evened(self._magnitude), _STRONGEST)
-        if size == FINEST:
-            assert self._finest is not None, "asked for where there is one"
-            return np.minimum(evened(edges(self._finest())), _STRONGEST)
         small = np.asarray(cv2.resize(self._magnitude, (size, size), interpolation=cv2.INTER_AREA), np.float32)
         return np.asarray(cv2.GaussianBlur(np.minimum(evened(small), _STRONGEST), (0, 0), 0.7), np.float32)
 
     def mask(self, size: int) -> Image:
         """(size, size) 255 where the ceiling is seen."""
         return np.asarray(cv2.resize(self._mask, (size, size), interpolation=cv2.INTER_NEAREST), np.uint8)
-
-    @property
-    def has_finest(self) -> bool:
-        return self._finest is not None
 
     def layer(self, size: int) -> Layer:
         if size not in self._layers:
@@ -100,7 +85,6 @@ class CeilingOptics:
     def __init__(self, camera: CameraModel) -> None:
         small = camera.reduced(_REDUCTION)
         self._rectify = Rectification(small, FINE, _FOV)
-        self._rectify_finest = Rectification(camera, FINEST, _FOV)
         self._cells = cells_at(ceiling_rays(FINE, _FOV))
         self._rim = Lookup(small, rim_rays(_RIM_ZENITHS, 360))
         self._sees_walls = bool(self._rim.valid.all())
@@ -109,8 +93,7 @@ class CeilingOptics:
         """Raises FrameError on a picture of another size than the camera's."""
         grey = frame.grey(_REDUCTION)
         rim = self._rim(grey) if self._sees_walls else None
-        image, finest = self._rectify(grey), lambda: self._rectify_finest(frame.grey())
-        return CeilingView(image, self._valid(frame), self._rectify.focal, rim, finest)
+        return CeilingView(self._rectify(grey), self._valid(frame), self._rectify.focal, rim)
 
     def _valid(self, frame: Frame) -> Image:
         if frame.dirty is None or not frame.dirty.any():

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omnibotd.core.docking.ceiling_view import FINE, FINEST, MIDDLE, CeilingView, Layer
+from omnibotd.core.docking.ceiling_view import FINE, MIDDLE, CeilingView, Layer
 from omnibotd.core.docking.matching import Floats, Poses, Residuals, Sample, bounded, residuals, shifted
 from omnibotd.core.docking.walls import NO_WALLS, Doubles, Walls, WallSearch
 
 # Cells a side from which one point each is sampled.
-_MIDDLE_CELLS, _FINE_CELLS, _FINEST_CELLS = 32, 60, 90
+_MIDDLE_CELLS, _FINE_CELLS = 32, 60
 _ITERATIONS = 6
 # Steps below this many pixels change nothing.
-_ENOUGH = {MIDDLE: 0.02, FINE: 0.01, FINEST: 0.01}
+_ENOUGH = {MIDDLE: 0.02, FINE: 0.01}
 # Neighbouring points err alike: one in fourteen says something new.
 _ALIKE = 14.0
 # Ceiling heights from the target from which on walls show; the misfit that needs no wall, and what one must take off.
@@ -25,9 +25,6 @@ _LOOK_EVERY = 3
 _NEARER = (1.0, 0.6)
 # Correlation from which walls are believed and remembered, and how much of what is known each frame forgets.
 _BELIEVED, _FADED = 0.35, 0.9
-# Ceiling heights from the target within which a fix from nothing is worth the time to look at the finest layer, and
-# the correlation above which that tells nothing new: in the light that the target was seen in.
-_CLOSE, _SAME_LIGHT = 0.03, 0.8
 # Walls turn into one another or run away where the view doesn't hold them: a step is at most this share of one.
 _WALL_STEP, _WALL_RIDGE = 0.2, 0.05
 
@@ -51,7 +48,6 @@ class Refinement:
             MIDDLE: Sample.of(target.layer(MIDDLE), _MIDDLE_CELLS),
             FINE: Sample.of(target.layer(FINE), _FINE_CELLS),
         }
-        self._target: CeilingView | None = target if target.has_finest else None  # until its finest layer is sampled
         self._search = WallSearch(self._samples[MIDDLE])
         self.walls = NO_WALLS
         self._tracked = 0
@@ -68,17 +64,7 @@ class Refinement:
         fine = self._solved(view.layer(FINE), middle.pose, middle.walls, prior)
         if fine.correlation > _BELIEVED:
             self.walls = fine.walls
-        worth = spread is None and shifted(fine.pose) < _CLOSE and fine.correlation < _SAME_LIGHT
-        if not (worth and self._has_finest()):
-            return fine
-        finest = self._solved(view.layer(FINEST), fine.pose, fine.walls, prior)
-        # How well the views fit is known of the layer before: on the finest, noise counts for more.
-        return replace(finest, correlation=fine.correlation)
-
-    def _has_finest(self) -> bool:
-        if self._target is not None:
-            self._samples[FINEST], self._target = Sample.of(self._target.layer(FINEST), _FINEST_CELLS), None
-        return FINEST in self._samples
+        return fine
 
     def _guesses(self, every: bool) -> list[tuple[Walls, float]]:
         """What to try: the walls known or none of them, the target as far away as it seems or nearer.

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from omnibotd.core.docking.ceiling_view import FINE, FINEST, MIDDLE, CeilingView, Layer
+from omnibotd.core.docking.ceiling_view import FINE, MIDDLE, CeilingView, Layer
 from omnibotd.core.docking.matching import Sample, align, residuals
 from omnibotd.core.docking.refinement import Refinement
 from omnibotd.core.docking.translation import ShiftSearch, ceiling_parts
@@ -142,30 +142,6 @@ def test_what_is_hidden_has_nothing_alike() -> None:
     # The feature is evened over a box of 9 pixels of the fine layer and smeared by the reduction.
     assert alike[column < 65].max() < 0.1
     assert alike[column > 95].min() > 0.5  # less than 1: the hidden part changes the spread of the whole
-
-
-def test_the_finest_layer_is_made_close_to_the_target_in_other_light_only() -> None:
-    looked: list[str] = []
-
-    def seen(name: str, pose: tuple[float, float, float], noise: float) -> CeilingView:
-        plain = np.float32(image(*pose)) + np.random.default_rng(1).normal(0.0, noise, (FINE, FINE))
-        picture = np.clip(plain, 0, 255).astype(np.uint8)
-
-        def finest() -> Image:
-            looked.append(name)
-            return np.asarray(cv2.resize(picture, (FINEST, FINEST), interpolation=cv2.INTER_CUBIC), np.uint8)
-
-        return CeilingView(picture, VALID, FOCAL, None, finest)
-
-    refinement = Refinement(seen("target", (0.0, 0.0, 0.0), 0.0))
-    close, away, start = (0.01, 0.01, -0.01), (0.01, 0.06, -0.05), np.array([0.0, 0.002, 0.002])
-    refinement.refine(seen("in its light", close, 0.0), np.array(close) + start, None)
-    refinement.refine(seen("from away", away, 40.0), np.array(away) + start, None)
-    refinement.refine(seen("while tracking", close, 40.0), np.array(close) + start, (0.02, 0.02))
-    assert looked == []
-    refined = refinement.refine(seen("in the dark", close, 40.0), np.array(close) + start, None)
-    assert looked == ["target", "in the dark"]
-    assert refined.pose == pytest.approx(close, abs=0.003)
 
 
 WALLS = ((0.0, -4.0), (2.5, 0.0))  # ahead at 1/4, to the left at 2/5 of the height
