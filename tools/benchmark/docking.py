@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from omnibotd.core.docking.lights import Light, Lights
 from omnibotd.core.docking.registration import DockRegistration
 from omnibotd.core.geometry import Pose2D
 from omnibotd.core.thesis.docking import ThesisHoming
@@ -27,9 +28,12 @@ PRIOR_ERROR, PRIOR_YAW = 0.01, math.radians(0.5)
 SEED = 21
 
 TRACKING, FULL_FIX, LITERAL = "tracking estimate", "full fix", "thesis, literal"
+NIGHT_FIX, NIGHT_TRACKING = "full fix beside the dock by night", "tracking by night, views of two other lights"
 PEER, APRILTAG = "ORB, matching and RANSAC", "AprilTag detection"
 # What ours may cost, in grey decodings of one frame.
 MOST_TRACKING, MOST_FIX = 10.0, 30.0
+MOST = {TRACKING: MOST_TRACKING, NIGHT_TRACKING: MOST_TRACKING, FULL_FIX: MOST_FIX, NIGHT_FIX: MOST_FIX}
+BESIDE = 0.08  # m from the dock
 
 _DOCKING, _THESIS = "omnibotd.core.docking.", "omnibotd.core.thesis.docking:"
 _SEEING: Mapping[str, tuple[str, ...]] = {
@@ -112,13 +116,29 @@ def _estimates(snapshot: Frame, seen: list[Frame], poses: list[Pose2D]) -> dict[
     ours, literal, peer = (
         make(rooms.CAMERA, snapshot, CEILING) for make in (DockRegistration, ThesisHoming, OrbHoming)
     )
+    night, both = _by_night(ours, poses)
     off = Pose2D(PRIOR_ERROR, 0.0, PRIOR_YAW)
     return {
         TRACKING: lambda k: ours.track(seen[k], Pose2D(), poses[k] @ off),
         FULL_FIX: lambda k: ours.fix(seen[k], Pose2D()),
+        NIGHT_TRACKING: lambda k: both.track(night[k], Pose2D(), _beside(poses[k]) @ off),
+        NIGHT_FIX: lambda k: ours.fix(night[k], Pose2D()),
         LITERAL: lambda k: literal.fix(seen[k], Pose2D()),
         PEER: lambda k: peer.fix(seen[k], Pose2D()),
     }
+
+
+def _by_night(day: DockRegistration, poses: list[Pose2D]) -> tuple[list[Frame], Lights]:
+    """Frames from beside the dock, and its views by day and with the lamps off."""
+    truly = np.array([triple(DOCK @ _beside(pose)) for pose in poses])
+    night = [Frame(float(k), jpeg) for k, jpeg in enumerate(rooms.jpegs(truly, 0.4, "night"))]
+    dusk = Frame(0.0, *rooms.jpegs(np.array([triple(DOCK)]), 0.4, "lamps_off"))
+    views = day, DockRegistration(rooms.CAMERA, dusk, CEILING)
+    return night, Lights([Light(view, Pose2D()) for view in views])
+
+
+def _beside(pose: Pose2D) -> Pose2D:
+    return Pose2D(BESIDE * pose.x, BESIDE * pose.y, pose.yaw)
 
 
 def _peers() -> dict[str, Callable[[Image], Any]]:

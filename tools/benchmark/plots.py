@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tools.benchmark.cycle import DEFAULT
-from tools.benchmark.docking import FULL_FIX, TRACKING
+from tools.benchmark.docking import MOST
 from tools.benchmark.scale import BRUTE_FORCE, BUCKETS, CYCLE
 
 INK, FAINT = "#20507a", "#b0b0b0"
@@ -55,7 +55,7 @@ def _growth(axes: Axes, scale: Mapping[str, Any]) -> None:
 def _docking(axes: Axes, docking: Mapping[str, Any]) -> None:
     rows = docking["contestants"]
     names = list(rows)[::-1]
-    colours = [INK if name in (TRACKING, FULL_FIX) else FAINT for name in names]
+    colours = [INK if name in MOST else FAINT for name in names]
     axes.barh(names, [rows[name]["of_decoding"] for name in names], color=colours)
     axes.set(xscale="log", xlabel="times the grey decoding of the picture", title="a docking estimate")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from tools.benchmark.cycle import DECODING, DEFAULT, LITERAL, ORB
-from tools.benchmark.docking import FULL_FIX, MOST_FIX, MOST_TRACKING, TRACKING
+from tools.benchmark.docking import MOST
 from tools.benchmark.scale import BRUTE_FORCE, BUCKETS, CYCLE
 from tools.benchmark.slow_pc_report import slow_pc_lines
 
@@ -81,7 +81,7 @@ def _docking(result: Result) -> Iterator[str]:
         for stage, row in stages.items():
             yield f"  {stage:{_NAME - 2}}{row['median_ms']:9.3f}{row['minimum_ms']:9.3f}"
     yield ""
-    for name, most in ((TRACKING, MOST_TRACKING), (FULL_FIX, MOST_FIX)):
+    for name, most in MOST.items():
         times = rows[name]["of_decoding"]
         yield f"{name}: at most {most:.0f} x {DECODING}: {_word(times <= most)} ({times:.1f})"
 

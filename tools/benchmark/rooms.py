@@ -63,14 +63,14 @@ def waypoints(count: int, spacing: float, seed: int, half: float = HALF) -> Floa
 
 
 @functools.cache
-def world(seed: int = SEED) -> World:
+def world(seed: int = SEED, light: str = "nominal") -> World:
     """A room of a tuning seed, with the tiles that the thesis' compass needs."""
-    return with_compass_tiles(ceilings.tiles(seed))
+    return with_compass_tiles(ceilings.tiles(seed, light))
 
 
-def jpegs(poses: Floats, period: float) -> list[bytes]:
+def jpegs(poses: Floats, period: float, light: str = "nominal") -> list[bytes]:
     """The pictures of a drive as a webcam sends them, `period` s apart."""
-    pictures = (world().render(*pose, period * k) for k, pose in enumerate(poses))
+    pictures = (world(light=light).render(*pose, period * k) for k, pose in enumerate(poses))
     quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
     return [cv2.imencode(".jpg", picture, quality)[1].tobytes() for picture in pictures]
 

@@ -88,9 +88,15 @@ class CeilingOptics:
         self._cells = cells_at(ceiling_rays(FINE, _FOV))
         self._rim = Lookup(small, rim_rays(_RIM_ZENITHS, 360))
         self._sees_walls = bool(self._rim.valid.all())
+        self._latest: tuple[Frame, CeilingView] | None = None  # every view of a dock asks for the same frame
 
     def view(self, frame: Frame) -> CeilingView:
         """Raises FrameError on a picture of another size than the camera's."""
+        if self._latest is None or self._latest[0] is not frame:
+            self._latest = frame, self._view(frame)
+        return self._latest[1]
+
+    def _view(self, frame: Frame) -> CeilingView:
         grey = frame.grey(_REDUCTION)
         rim = self._rim(grey) if self._sees_walls else None
         return CeilingView(self._rectify(grey), self._valid(frame), self._rectify.focal, rim)

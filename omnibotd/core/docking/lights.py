@@ -20,6 +20,8 @@ MAX_VIEWS = 4
 SAME_LIGHT = 0.9
 # And from which a frame, blurred and smudged as it may be, is of a view's light: no other will tell more.
 OWN_LIGHT = 0.75
+# Tracked frames from one that is compared with another view to the next: a light lasts longer than that.
+_COMPARE_EVERY = 3
 _RANK = {Verdict.REJECTED: 0, Verdict.AMBIGUOUS: 1, Verdict.ACCEPTED: 2}
 
 
@@ -60,7 +62,7 @@ class Lights:
         """At least one."""
         self._given = tuple(lights)
         self._lights = list(lights)
-        self._turn = 0  # whose it is to be compared with the view that serves
+        self._tracked = 0  # frames in a light that is not the serving view's own
 
     def fix(self, frame: Frame, odom_from_base: Pose2D) -> HomingEstimate:
         """From nothing: the surest answer, and of those the best match."""
@@ -73,14 +75,17 @@ class Lights:
 
     def track(self, frame: Frame, odom_from_base: Pose2D, prior: Pose2D) -> HomingEstimate:
         """From `prior`, the dock_from_base expected. In a light that is not its own, the view that serves is compared
-        with one of the others in turn; where it has lost the dock, with all of them."""
+        with one of the others in turn, every third frame; where it has lost the dock, with all of them."""
         serving, *others = self._lights
         first = _track(serving, frame, odom_from_base, prior)
         if not others or _in_its_light(first):
             return first
         if first.verdict is not Verdict.REJECTED:
-            self._turn += 1
-            others = [others[self._turn % len(others)]]
+            self._tracked += 1
+            turn, resting = divmod(self._tracked, _COMPARE_EVERY)
+            if resting:
+                return first
+            others = [others[turn % len(others)]]
         found = [(_track(light, frame, odom_from_base, prior), light) for light in others]
         return self._best([(first, serving), *found])
 

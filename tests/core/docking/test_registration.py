@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from omnibotd.core.docking.ceiling_height import visual_height
+from omnibotd.core.docking.ceiling_view import ceiling_optics
 from omnibotd.core.docking.features import edge_strength, unoccluded
 from omnibotd.core.docking.registration import DockRegistration
 from omnibotd.core.errors import FrameError
@@ -66,6 +67,13 @@ def test_a_smudge_that_is_known_is_not_looked_at() -> None:
     )
     assert known.score > unknown.score + 0.05
     assert error(known, Pose2D(-0.2, 0.1, 0.3))[0] < 0.02
+
+
+def test_a_frame_is_looked_at_once_whoever_asks() -> None:
+    one, other = see("tiles", MIDDLE), see("tiles", MIDDLE)
+    seen = ceiling_optics(CAMERA).view(one)
+    assert ceiling_optics(CAMERA).view(one) is seen
+    assert ceiling_optics(CAMERA).view(other) is not seen
 
 
 @pytest.mark.parametrize("style", STYLES)
