@@ -10,11 +10,11 @@ from omnibotd.core.vision.frame import FloatImage, Image
 # Side of the box over which edge strength is evened out, in pixels of the layer: just wider than an edge. Of two edges
 # side by side (of a beam, a lamp) none must outweigh the other when the light comes from elsewhere, or they seem moved.
 _BOX = 9
+# And where views of one light are aligned with it alone: there a wide box lets the alignment begin from farther off.
+_WIDE_BOX = 31
 # Side of the box whose mean is taken off the picture first. Light that falls off over the ceiling adds its own slope to
 # one side of every groove and takes it from the other: by night it seemed to move a grid of panels by 13 mm.
 _SHADING_BOX = 15
-# And where views of one light are aligned with it alone: there a wide box lets the alignment begin from farther off.
-_WIDE_BOX = 31
 # Grey levels a pixel below which an edge drowns in sensor noise; keeps a flat ceiling near zero.
 _NOISE_FLOOR = 1.5
 # A person: darker than half the median, over 1.5 % of the view, and reaching in from its border.
