@@ -26,9 +26,9 @@ from omnibotd.requests.robot import Robot
 log = logging.getLogger(__name__)
 
 PERIOD = 60.0  # s between looks
-# Correlation from which a view is of this light and knows where the robot stands, and below which it may have been
-# carried off unnoticed.
-KNOWN, CARRIED = 0.85, 0.25
+# Correlation from which a view knows where the robot stands (in its own light, even of one pushed askew by millimetres
+# and a degree), and below which it may have been carried off unnoticed.
+KNOWN, CARRIED = 0.8, 0.25
 # A light less like the views than this is worth a view, by how many there are: the fewer places are left (of
 # lights.MAX_VIEWS), the more it must tell.
 NEW_LIGHT = {1: 0.85, 2: 0.8, 3: 0.7}
