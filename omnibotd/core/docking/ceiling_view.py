@@ -92,9 +92,10 @@ class CeilingOptics:
 
     def view(self, frame: Frame) -> CeilingView:
         """Raises FrameError on a picture of another size than the camera's."""
-        if self._latest is None or self._latest[0] is not frame:
-            self._latest = frame, self._view(frame)
-        return self._latest[1]
+        latest = self._latest
+        if latest is None or latest[0] is not frame:
+            latest = self._latest = frame, self._view(frame)
+        return latest[1]
 
     def _view(self, frame: Frame) -> CeilingView:
         grey = frame.grey(_REDUCTION)
